@@ -1,0 +1,17 @@
+#include "freetalk/core/safetensors.h"
+
+#include <torch/extension.h>
+
+#include "freetalk/core/options.h"
+
+namespace py = pybind11;
+
+void bind_core(py::module_& m) {
+  m.def("load_safetensors", &freetalk::core::load_safetensors, py::arg("path"),
+        py::call_guard<py::gil_scoped_release>(), "Tensors of a safetensors file by name, memory-mapped.");
+  m.def("save_safetensors", &freetalk::core::save_safetensors, py::arg("path"), py::arg("tensors"),
+        py::arg("metadata") = freetalk::core::Metadata{}, py::call_guard<py::gil_scoped_release>(),
+        "Writes tensors by name to a safetensors file, atomically.");
+  m.def("nearest_name", &freetalk::core::nearest_name, py::arg("name"), py::arg("known"),
+        "The known name with the smallest edit distance.");
+}

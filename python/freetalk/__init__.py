@@ -1,0 +1,85 @@
+"""freetalk: speech and a face mesh of any topology in, a talking face out."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+try:
+    from freetalk import _native
+except ImportError as error:
+    raise ImportError(
+        f"freetalk's native module does not load with torch {torch.__version__}: rebuild it with this torch "
+        f"(pip install --no-build-isolation .). The loader said: {error}"
+    ) from None
+
+if torch.__version__.split("+")[0] != _native.torch_version.split("+")[0]:
+    raise ImportError(
+        f"freetalk was built with torch {_native.torch_version} but torch {torch.__version__} is installed: "
+        "install that version or rebuild freetalk (pip install --no-build-isolation .)."
+    )
+
+__version__: str = _native.__version__
+
+if TYPE_CHECKING:
+    from freetalk import ats, diffusion, geometry, nn, speech, stm
+    from freetalk.animation import Animation
+    from freetalk.audio import Audio, load_audio
+    from freetalk.geometry import Mesh, load_mesh
+    from freetalk.talker import Talker
+
+_LAZY = {
+    "Animation": "animation",
+    "Audio": "audio",
+    "Mesh": "geometry",
+    "Talker": "talker",
+    "load_audio": "audio",
+    "load_mesh": "geometry",
+}
+_ROOMS = (
+    "animation",
+    "ats",
+    "audio",
+    "corpus",
+    "data",
+    "diffusion",
+    "evaluate",
+    "geometry",
+    "nn",
+    "speech",
+    "stm",
+    "talker",
+    "train",
+    "viz",
+)
+
+__all__ = [
+    "Animation",
+    "Audio",
+    "Mesh",
+    "Talker",
+    "__version__",
+    "ats",
+    "diffusion",
+    "geometry",
+    "load_audio",
+    "load_mesh",
+    "nn",
+    "speech",
+    "stm",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Imports rooms and their main names on first use, so that ``import freetalk`` stays quick."""
+    if name in _LAZY:
+        return getattr(importlib.import_module(f"freetalk.{_LAZY[name]}"), name)
+    if name in _ROOMS:
+        return importlib.import_module(f"freetalk.{name}")
+    raise AttributeError(f"module 'freetalk' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_LAZY, *_ROOMS})

@@ -1,0 +1,130 @@
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <fstream>
+
+#include "freetalk/core/error.h"
+#include "freetalk/core/file.h"
+#include "freetalk/core/module_io.h"
+#include "freetalk/core/options.h"
+#include "freetalk/core/random.h"
+#include "freetalk/core/safetensors.h"
+
+namespace freetalk::core {
+namespace {
+
+struct SampleOptions {
+  int64_t width = 8;
+  double rate = 0.5;
+  bool flag = false;
+  std::string name = "a";
+  std::vector<int64_t> sizes = {1, 2};
+  template <class V>
+  void fields(V& v) {
+    v("width", width);
+    v("rate", rate);
+    v("flag", flag);
+    v("name", name);
+    v("sizes", sizes);
+  }
+  void check() const { FREETALK_CHECK(width > 0, "width must be positive, found ", width); }
+};
+
+std::string error_of(const std::function<void()>& action) {
+  try {
+    action();
+  } catch (const std::exception& error) {
+    return error.what();
+  }
+  return "";
+}
+
+std::filesystem::path temporary_path(const std::string& name) {
+  return std::filesystem::path(::testing::TempDir()) / ("freetalk_core_" + name);
+}
+
+TEST(Options, RoundTripThroughJson) {
+  SampleOptions options;
+  options.width = 3;
+  options.sizes = {4, 5, 6};
+  SampleOptions copy;
+  options_from_json(copy, options_to_json(options), "test");
+  EXPECT_EQ(options_to_json(copy), options_to_json(options));
+  EXPECT_EQ(copy.sizes, (std::vector<int64_t>{4, 5, 6}));
+}
+
+TEST(Options, UnknownKeyNamesTheNearest) {
+  SampleOptions options;
+  const std::string message = error_of([&] { options_from_json(options, R"({"widht": 3})", "file.yaml"); });
+  EXPECT_NE(message.find("file.yaml"), std::string::npos);
+  EXPECT_NE(message.find("did you mean 'width'"), std::string::npos);
+}
+
+TEST(Options, WrongTypeAndFailedCheckThrow) {
+  SampleOptions options;
+  EXPECT_NE(error_of([&] { options_from_json(options, R"({"width": "x"})", "f"); }).find("an integer"),
+            std::string::npos);
+  EXPECT_NE(error_of([&] { options_from_json(options, R"({"width": 0})", "f"); }).find("positive"),
+            std::string::npos);
+}
+
+TEST(Safetensors, RoundTripKeepsDtypeShapeAndMetadata) {
+  const auto path = temporary_path("roundtrip.safetensors");
+  const TensorMap tensors = {{"a", torch::arange(6, torch::kFloat).view({2, 3})},
+                             {"b", torch::arange(5, torch::kLong)},
+                             {"c", torch::ones({3}, torch::kHalf)},
+                             {"empty", torch::empty({0, 4})}};
+  save_safetensors(path, tensors, {{"k", "v"}});
+  const SafetensorsFile file(path);
+  EXPECT_EQ(file.metadata().at("k"), "v");
+  for (const auto& [name, tensor] : tensors) {
+    EXPECT_EQ(file.tensor(name).scalar_type(), tensor.scalar_type());
+    EXPECT_TRUE(torch::equal(file.tensor(name), tensor)) << name;
+  }
+}
+
+TEST(Safetensors, BrokenFilesAreNamed) {
+  const auto path = temporary_path("broken.safetensors");
+  save_safetensors(path, {{"a", torch::ones({64})}});
+  std::filesystem::resize_file(path, 100);
+  EXPECT_NE(error_of([&] { load_safetensors(path); }).find("broken.safetensors"), std::string::npos);
+  write_file_atomic(path, std::string("not safetensors at all"));
+  EXPECT_NE(error_of([&] { load_safetensors(path); }).find("not a safetensors file"), std::string::npos);
+  EXPECT_NE(error_of([&] { load_safetensors(temporary_path("absent")); }).find("no such file"), std::string::npos);
+}
+
+TEST(ModuleIo, EveryMisfitIsListed) {
+  torch::nn::Linear linear(2, 3);
+  const std::string message =
+      error_of([&] { load_state(*linear, {{"weight", torch::ones({3, 5})}, {"extra", torch::ones({1})}}, "w"); });
+  EXPECT_NE(message.find("missing: bias"), std::string::npos);
+  EXPECT_NE(message.find("shape of weight"), std::string::npos);
+  EXPECT_NE(message.find("unexpected: extra"), std::string::npos);
+}
+
+TEST(ModuleIo, HalfPrecisionWeightsAreConverted) {
+  torch::nn::Linear linear(2, 2);
+  load_state(*linear, {{"weight", torch::full({2, 2}, 0.5, torch::kHalf)}, {"bias", torch::zeros({2})}}, "w");
+  EXPECT_EQ(linear->weight.scalar_type(), torch::kFloat);
+  EXPECT_TRUE(torch::allclose(linear->weight, torch::full({2, 2}, 0.5)));
+}
+
+TEST(File, FailedWriteLeavesTheOldFile) {
+  const auto path = temporary_path("atomic.txt");
+  write_file_atomic(path, std::string("old"));
+  EXPECT_THROW(write_file_atomic(path,
+                                 [](std::ostream& stream) {
+                                   stream << "half";
+                                   throw std::runtime_error("stop");
+                                 }),
+               std::runtime_error);
+  EXPECT_EQ(read_text(path), "old");
+}
+
+TEST(Random, SameSeedSameNumbers) {
+  EXPECT_TRUE(torch::equal(torch::randn({8}, make_generator(3)), torch::randn({8}, make_generator(3))));
+  EXPECT_FALSE(torch::equal(torch::randn({8}, make_generator(3)), torch::randn({8}, make_generator(4))));
+}
+
+}  // namespace
+}  // namespace freetalk::core
