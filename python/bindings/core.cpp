@@ -1,5 +1,6 @@
 #include "freetalk/core/safetensors.h"
 
+#include <pybind11/stl/filesystem.h>
 #include <torch/extension.h>
 
 #include "freetalk/core/options.h"
