@@ -1,0 +1,138 @@
+"""How a face looks: smooth normals that follow the motion, and colours that tell parts apart."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+SKIN = (0.86, 0.67, 0.56)
+MOUTH_INSIDE = (0.36, 0.14, 0.13)
+MOUTH_DARK = (0.13, 0.045, 0.045)
+IVORY = (0.90, 0.88, 0.83)
+IRIS = (0.25, 0.36, 0.42)
+PUPIL = (0.03, 0.03, 0.03)
+
+# Half angles of pupil and iris, seen from the centre of the eyeball.
+_PUPIL_ANGLE = np.deg2rad(11.0)
+_IRIS_ANGLE = np.deg2rad(28.0)
+
+
+class NormalField:
+    """Area-weighted vertex normals of a fixed triangulation."""
+
+    def __init__(self, faces: NDArray[np.int64], num_vertices: int) -> None:
+        """Keeps ``faces`` (F, 3) of ``num_vertices`` points."""
+        self._faces = np.ascontiguousarray(faces)
+        self._corner = self._faces.T.ravel()
+        self._num_vertices = num_vertices
+
+    def __call__(self, vertices: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Returns (V, 3) unit normals; a vertex without area looks along +Z."""
+        a, b, c = (vertices[self._faces[:, k]] for k in range(3))
+        area = np.tile(np.cross(b - a, c - a), (3, 1))
+        normals = np.stack(
+            [
+                np.bincount(self._corner, weights=area[:, axis], minlength=self._num_vertices)
+                for axis in range(3)
+            ],
+            axis=1,
+        )
+        length = np.sqrt(np.einsum("ij,ij->i", normals, normals))[:, None]
+        normals = normals / np.maximum(length, 1e-20)
+        normals[length[:, 0] < 1e-20] = (0.0, 0.0, 1.0)
+        return normals.astype(np.float32)
+
+
+def connected_labels(edges: NDArray[np.int64], num_vertices: int) -> NDArray[np.int64]:
+    """Names every vertex after the lowest vertex it is connected to.
+
+    Args:
+        edges: (E, 2) pairs of vertices.
+        num_vertices: V.
+
+    Returns:
+        (V,) lowest vertex of the connected part.
+    """
+    label = np.arange(num_vertices)
+    while True:
+        lowest = np.minimum(label[edges[:, 0]], label[edges[:, 1]])
+        merged = label.copy()
+        np.minimum.at(merged, label[edges[:, 0]], lowest)
+        np.minimum.at(merged, label[edges[:, 1]], lowest)
+        while (merged[merged] != merged).any():
+            merged = merged[merged]
+        merged = merged[label]
+        if (merged == label).all():
+            return label
+        label = merged
+
+
+def part_labels(faces: NDArray[np.int64], num_vertices: int) -> NDArray[np.int64]:
+    """Numbers the connected parts of a mesh, the largest first.
+
+    Args:
+        faces: (F, 3) triangles.
+        num_vertices: V.
+
+    Returns:
+        (V,) part of each vertex.
+    """
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
+    _, part, count = np.unique(
+        connected_labels(edges, num_vertices), return_inverse=True, return_counts=True
+    )
+    rank = np.empty(len(count), dtype=np.int64)
+    rank[np.argsort(-count, kind="stable")] = np.arange(len(count))
+    return rank[part]
+
+
+def vertex_colors(vertices: NDArray[np.float32], faces: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Skin for the largest part, ivory for the others, an iris on those that are eyeballs.
+
+    Args:
+        vertices: (V, 3) resting points, upright (+Z out of the face).
+        faces: (F, 3) triangles.
+
+    Returns:
+        (V, 3) uint8 red, green, blue.
+    """
+    labels = part_labels(faces, len(vertices))
+    colors = np.tile(np.asarray(IVORY), (len(vertices), 1))
+    colors[labels == 0] = SKIN
+    for part in range(1, labels.max(initial=0) + 1):
+        chosen = np.flatnonzero(labels == part)
+        if len(chosen) >= 40:
+            _paint_eyeball(colors, vertices, chosen)
+    return np.asarray(np.round(colors * 255), dtype=np.uint8)
+
+
+def shade_colors(colors: NDArray[np.uint8], light: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Darkens (V, 3) colours where little ``light`` (V,) in [0, 1] arrives, blue and green most.
+
+    Light that reaches a crease of skin has bounced off skin, so what remains is reddish.
+    """
+    open_sky = np.clip(light / 0.9, 0, 1)[:, None]
+    tinted = open_sky ** np.array([0.55, 0.8, 0.85])
+    floor = np.array([0.22, 0.12, 0.11])
+    return np.asarray(colors * (floor + (1 - floor) * tinted), dtype=np.uint8)
+
+
+def _paint_eyeball(
+    colors: NDArray[np.float64], vertices: NDArray[np.float32], chosen: NDArray[np.int64]
+) -> None:
+    """Paints iris and pupil if the chosen vertices lie on a sphere to within a few percent."""
+    points = vertices[chosen].astype(np.float64)
+    system = np.hstack([2 * points, np.ones((len(points), 1))])
+    solution, _, rank, _ = np.linalg.lstsq(system, (points**2).sum(1), rcond=None)
+    if rank < 4:
+        return
+    center = solution[:3]
+    radius = np.sqrt(max(solution[3] + center @ center, 0.0))
+    offsets = points - center
+    distance = np.linalg.norm(offsets, axis=1)
+    spread = float(np.mean(np.abs(distance - radius)))
+    if radius <= 0 or spread > 0.06 * radius or np.ptp(points, axis=0).min() < radius:
+        return
+    angle = np.arccos(np.clip(offsets[:, 2] / np.maximum(distance, 1e-12), -1, 1))
+    colors[chosen[angle < _IRIS_ANGLE]] = IRIS
+    colors[chosen[angle < _PUPIL_ANGLE]] = PUPIL
