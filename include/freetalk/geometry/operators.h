@@ -1,0 +1,73 @@
+// Everything a DiffusionNet needs of a mesh: mass, eigenbasis, gradients, normals; computed once, cached on disk.
+#pragma once
+
+#include <ATen/core/Tensor.h>
+#include <Eigen/Core>
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+
+namespace freetalk::geometry {
+
+struct OperatorOptions {
+  int64_t k_eig = 128;               // K, number of eigenpairs; 1 .. V
+  std::string laplacian = "cotan";   // "cotan"
+  // "relative": guards relative to each element's size, so that operators follow a uniform scale exactly;
+  // "absolute": the public diffusion_net package's constants (1e-10, 1e-5), which suit meshes of unit size only.
+  std::string regularization = "relative";
+  double residual_tolerance = 1e-6;  // largest eigen-residual accepted (see eigenbasis.h)
+
+  template <class Visitor>
+  void fields(Visitor& visit) {
+    visit("k_eig", k_eig);
+    visit("laplacian", laplacian);
+    visit("regularization", regularization);
+    visit("residual_tolerance", residual_tolerance);
+  }
+  void check() const;
+};
+
+/// Operators of a surface; float64 on the CPU until `to` is called.
+struct SurfaceOperators {
+  at::Tensor mass;                  ///< (V,) length^2
+  at::Tensor evals;                 ///< (K,) 1 / length^2
+  at::Tensor evecs;                 ///< (V, K) 1 / length, mass-orthonormal
+  at::Tensor gradients;             ///< (2V, V) sparse CSR, 1 / length: X components, then Y components
+  at::Tensor gradients_transposed;  ///< (V, 2V) sparse CSR
+  at::Tensor normals;               ///< (V, 3)
+  at::Tensor frames;                ///< (V, 3, 3) rows X, Y, normal
+  at::Tensor residuals;             ///< (K,) relative eigen-residuals
+
+  int64_t num_vertices() const { return mass.size(0); }
+  int64_t k_eig() const { return evals.size(0); }
+
+  /// The operators of the same surface scaled uniformly by `factor` > 0.
+  SurfaceOperators scaled(double factor) const;
+  /// A copy on `device` with `dtype` (float32 or float64).
+  SurfaceOperators to(at::ScalarType dtype, const c10::Device& device = c10::kCPU) const;
+};
+
+/// @param vertices (V, 3) any unit. @param faces (F, 3).
+/// @param name names the mesh in messages.
+/// @throws std::invalid_argument for bad options, indices out of range, NaN, more eigenpairs than
+///   vertices, a surface without area; std::runtime_error if the eigensolver fails.
+SurfaceOperators surface_operators(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
+                                   const OperatorOptions& options = {},
+                                   const std::string& name = "mesh");
+
+/// $FREETALK_CACHE, or $XDG_CACHE_HOME/freetalk, or ~/.cache/freetalk.
+std::filesystem::path default_cache_dir();
+
+/// As surface_operators, kept in `cache_dir`/operators under a key of content, options and version. Several
+/// processes may share the folder: files are written atomically and a damaged one is computed again. Beyond
+/// `max_bytes` the entries unused for longest go. An unwritable folder costs the cache, not the result.
+/// @param cache_dir empty for default_cache_dir().
+SurfaceOperators cached_surface_operators(const Eigen::MatrixXd& vertices,
+                                          const Eigen::MatrixXi& faces,
+                                          const OperatorOptions& options = {},
+                                          const std::filesystem::path& cache_dir = {},
+                                          const std::string& name = "mesh",
+                                          int64_t max_bytes = int64_t{4} << 30);
+
+}  // namespace freetalk::geometry

@@ -1,0 +1,28 @@
+// What the readers of single formats share.
+#pragma once
+
+#include <Eigen/Core>
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+namespace freetalk::geometry {
+
+/// A mesh as read, not yet checked: indices may point anywhere.
+struct RawMesh {
+  std::vector<Eigen::Vector3d> vertices;
+  std::vector<std::vector<int>> polygons;
+  std::vector<Eigen::Vector2d> texcoords;
+  std::vector<std::vector<int>> polygon_texcoords;  // as many as polygons, or none
+};
+
+/// Wavefront OBJ text. @throws std::runtime_error naming the file and the line.
+RawMesh read_obj(const std::filesystem::path& path, const std::string& text);
+
+/// PLY, OFF or STL bytes (`extension` "ply", "off", "stl"), through OpenMesh.
+/// @throws std::runtime_error naming the file.
+RawMesh read_openmesh(const std::filesystem::path& path, const std::string& extension,
+                      const std::string& bytes);
+
+}  // namespace freetalk::geometry

@@ -1,0 +1,149 @@
+#include <ATen/ATen.h>
+
+#include <algorithm>
+#include <cstdlib>
+#include <optional>
+#include <vector>
+
+#include "content_hash.h"
+#include "freetalk/core/error.h"
+#include "freetalk/core/options.h"
+#include "freetalk/core/safetensors.h"
+#include "freetalk/geometry/operators.h"
+#include "tensor_conversion.h"
+
+namespace freetalk::geometry {
+namespace {
+
+namespace fs = std::filesystem;
+
+// Raise when the operators of a mesh change: older entries are then never read again.
+constexpr int kOperatorVersion = 1;
+
+std::string key_of(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
+                   const OperatorOptions& options) {
+  ContentHash hash;
+  const int64_t header[4] = {kOperatorVersion, vertices.rows(), faces.rows(), vertices.cols()};
+  hash.update(header, sizeof(header));
+  hash.update(vertices.data(), sizeof(double) * static_cast<size_t>(vertices.size()));
+  hash.update(faces.data(), sizeof(int) * static_cast<size_t>(faces.size()));
+  const std::string text = core::options_to_json(options);
+  hash.update(text.data(), text.size());
+  return hash.hex();
+}
+
+std::string checksum(const core::TensorMap& tensors) {
+  ContentHash hash;
+  for (const auto& [name, tensor] : tensors) {
+    const at::Tensor data = tensor.contiguous();
+    hash.update(name.data(), name.size());
+    hash.update(data.data_ptr(), data.nbytes());
+  }
+  return hash.hex();
+}
+
+void save_entry(const fs::path& file, const SurfaceOperators& operators) {
+  core::TensorMap tensors{{"mass", operators.mass},
+                          {"evals", operators.evals},
+                          {"evecs", operators.evecs},
+                          {"normals", operators.normals},
+                          {"frames", operators.frames},
+                          {"residuals", operators.residuals},
+                          {"gradients.crow", operators.gradients.crow_indices()},
+                          {"gradients.col", operators.gradients.col_indices()},
+                          {"gradients.values", operators.gradients.values()}};
+  core::save_safetensors(file, tensors, {{"checksum", checksum(tensors)}});
+}
+
+/// The entry, or nothing if it is missing, damaged or of another shape.
+std::optional<SurfaceOperators> load_entry(const fs::path& file, int64_t num_vertices, int64_t k) {
+  std::error_code error;
+  if (!fs::exists(file, error)) return std::nullopt;
+  try {
+    const core::SafetensorsFile entry(file);
+    core::TensorMap tensors;
+    for (const std::string& key : entry.keys()) tensors[key] = entry.tensor(key).clone();
+    const auto sum = entry.metadata().find("checksum");
+    if (sum == entry.metadata().end() || sum->second != checksum(tensors)) return std::nullopt;
+    SurfaceOperators operators;
+    operators.mass = tensors.at("mass");
+    operators.evals = tensors.at("evals");
+    operators.evecs = tensors.at("evecs");
+    operators.normals = tensors.at("normals");
+    operators.frames = tensors.at("frames");
+    operators.residuals = tensors.at("residuals");
+    const at::Tensor values = tensors.at("gradients.values");
+    operators.gradients = at::sparse_csr_tensor(
+        tensors.at("gradients.crow"), tensors.at("gradients.col"), values,
+        {2 * num_vertices, num_vertices}, values.options().layout(at::kSparseCsr));
+    operators.gradients_transposed = transpose_csr(operators.gradients);
+    if (operators.num_vertices() != num_vertices || operators.k_eig() != k) return std::nullopt;
+    fs::last_write_time(file, fs::file_time_type::clock::now(), error);  // Used last now.
+    return operators;
+  } catch (const std::exception&) {
+    return std::nullopt;  // Damaged: computed again and overwritten.
+  }
+}
+
+/// Removes the entries unused for longest until the folder holds at most `max_bytes`, never `keep`.
+void evict(const fs::path& folder, const fs::path& keep, int64_t max_bytes) {
+  struct Entry {
+    fs::path file;
+    fs::file_time_type used;
+    int64_t bytes;
+  };
+  std::vector<Entry> entries;
+  int64_t total = 0;
+  std::error_code error;
+  for (fs::directory_iterator it(folder, error), end; !error && it != end; it.increment(error)) {
+    std::error_code gone;  // Another process may have removed it.
+    const auto bytes = static_cast<int64_t>(it->file_size(gone));
+    const auto used = it->last_write_time(gone);
+    if (gone) continue;
+    entries.push_back({it->path(), used, bytes});
+    total += bytes;
+  }
+  std::sort(entries.begin(), entries.end(),
+            [](const Entry& a, const Entry& b) { return a.used < b.used; });
+  for (const Entry& entry : entries) {
+    if (total <= max_bytes) return;
+    if (entry.file == keep) continue;
+    fs::remove(entry.file, error);
+    total -= entry.bytes;
+  }
+}
+
+}  // namespace
+
+std::filesystem::path default_cache_dir() {
+  const auto variable = [](const char* name) -> std::string {
+    const char* value = std::getenv(name);
+    return value == nullptr ? "" : value;
+  };
+  if (const std::string own = variable("FREETALK_CACHE"); !own.empty()) return own;
+  if (const std::string xdg = variable("XDG_CACHE_HOME"); !xdg.empty()) {
+    return fs::path(xdg) / "freetalk";
+  }
+  const std::string home = variable("HOME");
+  return (home.empty() ? fs::temp_directory_path() : fs::path(home) / ".cache") / "freetalk";
+}
+
+SurfaceOperators cached_surface_operators(const Eigen::MatrixXd& vertices,
+                                          const Eigen::MatrixXi& faces,
+                                          const OperatorOptions& options,
+                                          const std::filesystem::path& cache_dir,
+                                          const std::string& name, int64_t max_bytes) {
+  const fs::path folder = (cache_dir.empty() ? default_cache_dir() : cache_dir) / "operators";
+  const fs::path file = folder / (key_of(vertices, faces, options) + ".safetensors");
+  if (auto cached = load_entry(file, vertices.rows(), options.k_eig)) return *std::move(cached);
+  SurfaceOperators operators = surface_operators(vertices, faces, options, name);
+  try {
+    save_entry(file, operators);
+    evict(folder, file, max_bytes);
+  } catch (const std::runtime_error&) {
+    // A folder that cannot be written to (full, read-only) costs the time next time, not the result.
+  }
+  return operators;
+}
+
+}  // namespace freetalk::geometry

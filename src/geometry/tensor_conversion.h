@@ -1,0 +1,18 @@
+// Eigen <-> ATen, float64 on the CPU.
+#pragma once
+
+#include <ATen/core/Tensor.h>
+#include <Eigen/Core>
+
+#include "freetalk/geometry/surface.h"
+
+namespace freetalk::geometry {
+
+/// (R, C) row-major copy.
+at::Tensor to_tensor(const Eigen::MatrixXd& matrix);
+/// Sparse CSR with int64 indices.
+at::Tensor to_csr_tensor(const RowSparseMatrix& matrix);
+/// The transpose of a sparse CSR tensor, in CSR.
+at::Tensor transpose_csr(const at::Tensor& csr);
+
+}  // namespace freetalk::geometry
