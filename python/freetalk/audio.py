@@ -1,0 +1,48 @@
+"""Sound in and out: mono float samples from any file that libsndfile reads."""
+
+from __future__ import annotations
+
+import os
+
+from freetalk import _native
+from freetalk._native.audio import Audio
+
+__all__ = ["Audio", "load_audio", "resample", "save_wav"]
+
+
+def load_audio(path: str | os.PathLike[str], sample_rate_hz: int = 16000) -> Audio:
+    """Reads WAV, FLAC, OGG, AIFF, MP3, ... block by block as mono sound.
+
+    Channels are averaged; the result has ``round(n * sample_rate_hz / file_rate)`` samples, made by
+    libsamplerate's best sinc converter.
+
+    Args:
+        path: the sound file.
+        sample_rate_hz: rate of the result.
+
+    Raises:
+        RuntimeError: the file is missing, empty, a folder, not audio, truncated, longer than six hours, holds
+            samples that are not finite or claims an absurd rate; the message names it and what to do.
+        ValueError: ``sample_rate_hz`` is not between 1 kHz and 768 kHz.
+    """
+    return _native.audio.load_audio(os.fspath(path), sample_rate_hz)
+
+
+def resample(audio: Audio, sample_rate_hz: int) -> Audio:
+    """The same sound at another rate (libsamplerate, best sinc)."""
+    return _native.audio.resample(audio, sample_rate_hz)
+
+
+def save_wav(path: str | os.PathLike[str], audio: Audio, *, bits_per_sample: int = 16) -> None:
+    """Writes a WAV atomically.
+
+    Args:
+        path: the file to write.
+        audio: the sound; samples beyond [-1, 1] are clipped unless float.
+        bits_per_sample: 16, 24 or 32 (float).
+
+    Raises:
+        ValueError: there are no samples.
+        RuntimeError: the file can't be written.
+    """
+    _native.audio.save_wav(os.fspath(path), audio, bits_per_sample=bits_per_sample)

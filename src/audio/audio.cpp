@@ -1,0 +1,219 @@
+#include "freetalk/audio/audio.h"
+
+#include <sndfile.h>
+
+#include <algorithm>
+#include <cmath>
+#include <memory>
+#include <regex>
+#include <string>
+
+#include "freetalk/core/error.h"
+#include "freetalk/core/file.h"
+#include "resampler.h"
+
+namespace freetalk::audio {
+namespace {
+
+struct CloseFile {
+  void operator()(SNDFILE* file) const { sf_close(file); }
+};
+using File = std::unique_ptr<SNDFILE, CloseFile>;
+
+constexpr int64_t kBlockSamples = 65536;  // over all channels
+const char* const kConvert =
+    "; convert it to WAV or FLAC, for example with: ffmpeg -i INPUT output.wav";
+
+File open_for_reading(const std::filesystem::path& path, SF_INFO& info) {
+  const std::string name = path.string();
+  std::error_code code;
+  const auto status = std::filesystem::status(path, code);
+  FREETALK_RUNTIME_CHECK(std::filesystem::exists(status), name,
+                         ": there is no such audio file; check the path");
+  FREETALK_RUNTIME_CHECK(!std::filesystem::is_directory(status), name,
+                         ": is a folder, not an audio file; name one file in it");
+  FREETALK_RUNTIME_CHECK(std::filesystem::is_regular_file(status), name,
+                         ": is not a regular file; write the sound to a file first");
+  const auto size = std::filesystem::file_size(path, code);
+  FREETALK_RUNTIME_CHECK(!code, name, ": cannot be read (", code.message(), ")");
+  FREETALK_RUNTIME_CHECK(size > 0, name, ": is an empty file; record or copy it again");
+  File file(sf_open(name.c_str(), SFM_READ, &info));
+  FREETALK_RUNTIME_CHECK(file != nullptr, name, ": is not an audio file that can be read (",
+                         sf_strerror(nullptr), ")", kConvert);
+  FREETALK_RUNTIME_CHECK(info.channels > 0, name, ": has no channels", kConvert);
+  FREETALK_RUNTIME_CHECK(info.samplerate >= kMinSampleRateHz && info.samplerate <= kMaxSampleRateHz,
+                         name, ": claims a sample rate of ", info.samplerate,
+                         " Hz, which must be between ", kMinSampleRateHz, " and ", kMaxSampleRateHz,
+                         kConvert);
+  return file;
+}
+
+/// Whether a WAV or AIFF header promises much more data than the file holds. libsndfile shortens
+/// such a file in silence and only notes it in its log. Writers that stream leave a size of about
+/// 2^31 or 2^32: no promise.
+bool header_promises_more(SNDFILE* file, const SF_INFO& info) {
+  std::string log(16384, '\0');
+  const int used = sf_command(file, SFC_GET_LOG_INFO, log.data(), static_cast<int>(log.size()));
+  log.resize(static_cast<size_t>(std::max(0, used)));
+  std::smatch match;
+  static const std::regex kShortened(R"((?:data|SSND)\s*:\s*(\d{1,18}) \(should be (\d{1,18})\))");
+  if (!std::regex_search(log, match, kShortened)) {
+    return false;
+  }
+  const int64_t promised = std::stoll(match[1].str());
+  const int64_t present = std::stoll(match[2].str());
+  constexpr int64_t kStreaming = 0x7FFF0000;
+  const double bytes_per_s = info.frames > 0 ? static_cast<double>(present) * info.samplerate /
+                                                   static_cast<double>(info.frames)
+                                             : 1.0;
+  return promised<kStreaming&& static_cast<double>(promised - present)> 0.02 * bytes_per_s;
+}
+
+/// Reads the frames of a file block by block and averages its channels.
+class MonoReader {
+ public:
+  MonoReader(std::string name, File file, const SF_INFO& info)
+      : name_(std::move(name)),
+        file_(std::move(file)),
+        info_(info),
+        block_(static_cast<size_t>(frames_per_block() * info.channels)),
+        mono_(static_cast<size_t>(frames_per_block())) {}
+
+  /// The next samples in `mono()`; 0 at the end.
+  int64_t read() {
+    const int64_t count = sf_readf_float(file_.get(), block_.data(), frames_per_block());
+    const auto channels = static_cast<size_t>(info_.channels);
+    for (int64_t i = 0; i < count; ++i) {
+      const float* frame = block_.data() + static_cast<size_t>(i) * channels;
+      double sum = 0.0;
+      for (size_t c = 0; c < channels; ++c) {
+        sum += frame[c];
+      }
+      FREETALK_RUNTIME_CHECK(std::isfinite(sum), name_, ": holds a sample that is not a number at ",
+                             static_cast<double>(num_read_ + i) / info_.samplerate,
+                             " s; export the sound again");
+      mono_[static_cast<size_t>(i)] = static_cast<float>(sum / info_.channels);
+    }
+    num_read_ += std::max<int64_t>(0, count);
+    FREETALK_RUNTIME_CHECK(static_cast<double>(num_read_) <= kMaxDurationS * info_.samplerate,
+                           name_, ": is longer than ", kMaxDurationS / 3600.0,
+                           " hours; split it into shorter files");
+    return std::max<int64_t>(0, count);
+  }
+
+  const float* mono() const { return mono_.data(); }
+
+  void check_complete() const {
+    FREETALK_RUNTIME_CHECK(num_read_ > 0, name_, ": holds no samples; record or copy it again");
+    const bool mpeg = (info_.format & SF_FORMAT_TYPEMASK) == SF_FORMAT_MPEG;  // length is a guess
+    const auto tolerated = static_cast<int64_t>(0.02 * info_.samplerate);
+    const bool known = info_.frames < SF_COUNT_MAX / 2;
+    FREETALK_RUNTIME_CHECK(mpeg || !known || info_.frames - num_read_ <= tolerated, name_,
+                           ": is truncated: its header promises ",
+                           static_cast<double>(info_.frames) / info_.samplerate, " s but it holds ",
+                           static_cast<double>(num_read_) / info_.samplerate,
+                           " s; copy or export it again");
+    FREETALK_RUNTIME_CHECK(!header_promises_more(file_.get(), info_), name_,
+                           ": is truncated: its header promises more than the ",
+                           static_cast<double>(num_read_) / info_.samplerate,
+                           " s that it holds; copy or export it again");
+  }
+
+ private:
+  int64_t frames_per_block() const { return std::max<int64_t>(1, kBlockSamples / info_.channels); }
+
+  std::string name_;
+  File file_;
+  SF_INFO info_;
+  std::vector<float> block_, mono_;
+  int64_t num_read_ = 0;
+};
+
+/// A file in memory for libsndfile to write to.
+struct MemoryFile {
+  std::string bytes;
+  sf_count_t position = 0;
+
+  static sf_count_t length(void* self) {
+    return static_cast<sf_count_t>(static_cast<MemoryFile*>(self)->bytes.size());
+  }
+  static sf_count_t seek(sf_count_t offset, int whence, void* self) {
+    auto* file = static_cast<MemoryFile*>(self);
+    const sf_count_t base = whence == SEEK_SET   ? 0
+                            : whence == SEEK_CUR ? file->position
+                                                 : length(self);
+    file->position = base + offset;
+    return file->position;
+  }
+  static sf_count_t read(void* target, sf_count_t count, void* self) {
+    auto* file = static_cast<MemoryFile*>(self);
+    const auto got = std::clamp<sf_count_t>(length(self) - file->position, 0, count);
+    std::copy_n(file->bytes.data() + file->position, got, static_cast<char*>(target));
+    file->position += got;
+    return got;
+  }
+  static sf_count_t write(const void* source, sf_count_t count, void* self) {
+    auto* file = static_cast<MemoryFile*>(self);
+    const auto end = static_cast<size_t>(file->position + count);
+    if (file->bytes.size() < end) {
+      file->bytes.resize(end);
+    }
+    std::copy_n(static_cast<const char*>(source), count, file->bytes.data() + file->position);
+    file->position += count;
+    return count;
+  }
+  static sf_count_t tell(void* self) { return static_cast<MemoryFile*>(self)->position; }
+};
+
+}  // namespace
+
+void Audio::check() const {
+  FREETALK_CHECK(sample_rate_hz >= kMinSampleRateHz && sample_rate_hz <= kMaxSampleRateHz,
+                 "sample_rate_hz is ", sample_rate_hz, ": it must be between ", kMinSampleRateHz,
+                 " and ", kMaxSampleRateHz);
+  const auto bad = std::find_if_not(samples.begin(), samples.end(),
+                                    [](float value) { return std::isfinite(value); });
+  FREETALK_CHECK(bad == samples.end(), "sample ", bad - samples.begin(),
+                 " of the audio is not finite");
+}
+
+Audio load_audio(const std::filesystem::path& path, int64_t sample_rate_hz) {
+  SF_INFO info{};
+  auto file = open_for_reading(path, info);
+  Resampler resampler(info.samplerate, sample_rate_hz);
+  MonoReader reader(path.string(), std::move(file), info);
+  Audio audio;
+  audio.sample_rate_hz = sample_rate_hz;
+  while (const int64_t count = reader.read()) {
+    resampler.push(reader.mono(), count, audio.samples);
+  }
+  reader.check_complete();
+  resampler.finish(audio.samples);
+  return audio;
+}
+
+void save_wav(const std::filesystem::path& path, const Audio& audio, int bits_per_sample) {
+  audio.check();
+  FREETALK_CHECK(!audio.samples.empty(), "there are no samples to write to ", path.string());
+  FREETALK_CHECK(bits_per_sample == 16 || bits_per_sample == 24 || bits_per_sample == 32,
+                 "bits_per_sample is ", bits_per_sample, ": use 16, 24 or 32 (float)");
+  SF_INFO info{};
+  info.samplerate = static_cast<int>(audio.sample_rate_hz);
+  info.channels = 1;
+  info.format = SF_FORMAT_WAV | (bits_per_sample == 16   ? SF_FORMAT_PCM_16
+                                 : bits_per_sample == 24 ? SF_FORMAT_PCM_24
+                                                         : SF_FORMAT_FLOAT);
+  SF_VIRTUAL_IO io{MemoryFile::length, MemoryFile::seek, MemoryFile::read, MemoryFile::write,
+                   MemoryFile::tell};
+  MemoryFile memory;
+  File file(sf_open_virtual(&io, SFM_WRITE, &info, &memory));
+  FREETALK_RUNTIME_CHECK(file != nullptr, path.string(), ": ", sf_strerror(nullptr));
+  sf_command(file.get(), SFC_SET_CLIPPING, nullptr, SF_TRUE);
+  const auto count = static_cast<sf_count_t>(audio.samples.size());
+  const auto written = sf_writef_float(file.get(), audio.samples.data(), count);
+  FREETALK_RUNTIME_CHECK(written == count, path.string(), ": ", sf_strerror(file.get()));
+  file.reset();  // completes the header
+  core::write_file_atomic(path, memory.bytes);
+}
+
+}  // namespace freetalk::audio
