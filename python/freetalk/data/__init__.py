@@ -1,0 +1,13 @@
+"""Datasets of speech and facial motion behind one interface."""
+
+from freetalk.data.dataset import EMOTIONS, NUM_LANDMARKS, FaceMesh, MotionDataset, MotionSequence
+from freetalk.data.open_corpus import OpenCorpus
+
+__all__ = [
+    "EMOTIONS",
+    "NUM_LANDMARKS",
+    "FaceMesh",
+    "MotionDataset",
+    "MotionSequence",
+    "OpenCorpus",
+]

@@ -1,0 +1,255 @@
+"""Training of the audio-to-landmarks denoiser [FreeTalk 3.1, 3.3, supp. 2]."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from freetalk.ats import Ats, AtsOptions
+from freetalk.data import NUM_LANDMARKS, MotionSequence, OpenCorpus
+from freetalk.diffusion import Schedule, ScheduleOptions
+from freetalk.train.checkpoint import export_model
+from freetalk.train.config import AtsTaskOptions, TrainingConfig
+from freetalk.train.features import FeatureCache
+from freetalk.train.losses import motion_loss
+from freetalk.train.sampling import SequenceSampler, numpy_generator
+from freetalk.train.speech_targets import interpolate_frames
+
+_VALIDATION_SEED = 30
+_VALIDATION_TIMESTEPS = (0.15, 0.5, 0.85, 1.0)
+_LIPS = tuple(range(48, 68))
+#: Upper and lower inner-lip landmarks that face one another.
+_INNER_LIP_PAIRS = ((61, 62, 63), (67, 66, 65))
+#: Smallest spread that a coordinate is divided by, relative to the mean one.
+_SPREAD_FLOOR = 0.15
+
+
+class AtsTask:
+    """Windows of motion with their speech features; the denoiser restores them from noise."""
+
+    def __init__(
+        self, config: TrainingConfig, corpus: OpenCorpus, out: Path, device: torch.device
+    ) -> None:
+        assert isinstance(config.task, AtsTaskOptions)
+        self.options = config.task
+        self.corpus = corpus
+        self.batch_size = config.loop.batch_size
+        self.device = device
+        train = _audible(corpus.sequences("train"))
+        self.sampler = SequenceSampler(train, self.options.source_weights)
+        sources = {s.source for s in self.sampler.sequences}
+        self.held_out = [s for s in _audible(corpus.sequences("val")) if s.source in sources]
+        encoder = _speech_encoder(self.options, out)
+        cache = Path(self.options.feature_cache or out / "cache")
+        self.features = FeatureCache(
+            corpus,
+            [*self.sampler.sequences, *self.held_out],
+            encoder,
+            cache,
+            self.options.feature_augmentations,
+            device,
+        )
+        self._motion = {
+            s.id: corpus.landmarks(s) for s in [*self.sampler.sequences, *self.held_out]
+        }
+        fields = {"audio_dim": self.features.width, **config.model}
+        if fields["audio_dim"] != self.features.width:
+            raise ValueError(
+                f"model.audio_dim is {fields['audio_dim']}, but the encoder in {encoder} gives "
+                f"{self.features.width} channels; leave model.audio_dim out"
+            )
+        self.model_options = AtsOptions.from_dict(fields)
+        self.model = Ats(self.model_options).to(device)
+        mean, spread = self._statistics()
+        self.model.set_motion_statistics(mean, spread)
+        self.mean, self.spread = mean.to(device), spread.to(device)
+        self.schedule = Schedule(
+            ScheduleOptions(
+                kind=self.model_options.schedule,
+                num_steps=self.model_options.num_train_steps,
+                beta_start=self.model_options.beta_start,
+                beta_end=self.model_options.beta_end,
+            )
+        )
+        self.point_weights = self._landmark_weights()
+
+    def batch(self, generator: torch.Generator) -> dict[str, Any]:
+        """Windows of up to ``max_frames`` frames, padded."""
+        rng = numpy_generator(generator)
+        items = [self._window(self.sampler.draw(rng), rng) for _ in range(self.batch_size)]
+        batch = self._stack(items)
+        for name, share in (
+            ("drop_audio", self.options.audio_dropout),
+            ("drop_affect", self.options.affect_dropout),
+        ):
+            dropped = torch.from_numpy(rng.random(len(items)) < share)
+            batch[name] = dropped.to(self.device)
+        return batch
+
+    def loss(self, batch: dict[str, Any], generator: torch.Generator) -> dict[str, Tensor]:
+        """Eq. 15 at a uniformly drawn diffusion step of each window."""
+        motion = batch["motion"]
+        steps = self.model_options.num_train_steps
+        step = torch.randint(0, steps, (len(motion),), generator=generator).to(self.device)
+        noise = torch.randn(motion.shape, generator=generator).to(self.device)
+        return self._terms(batch, step, noise)
+
+    def validate(self) -> dict[str, float]:
+        """Loss at fixed steps and noise, and the opening's correlation when starting from noise."""
+        if not self.held_out:
+            raise ValueError("the corpus has no sequences with audio in its val split")
+        generator = torch.Generator().manual_seed(_VALIDATION_SEED)
+        rng = numpy_generator(generator)
+        sampler = SequenceSampler(self.held_out, {s.source: 1.0 for s in self.held_out})
+        count = self.options.validation_windows
+        items = [self._window(sampler.draw(rng), rng, altered=False) for _ in range(count)]
+        losses: list[float] = []
+        gaps: list[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]] = []
+        for first in range(0, count, self.batch_size):
+            batch = self._stack(items[first : first + self.batch_size])
+            noise = torch.randn(batch["motion"].shape, generator=generator).to(self.device)
+            for share in _VALIDATION_TIMESTEPS:
+                index = round(share * (self.model_options.num_train_steps - 1))
+                step = torch.full((len(noise),), index, device=self.device)
+                terms = self._terms(batch, step, noise)
+                losses.append(float(terms["loss"]))
+            guess = self._denoise(batch, step, noise)  # the last step is pure noise
+            valid = batch["valid"]
+            gaps.append(
+                (self._gap(guess)[valid].cpu().numpy(), self._gap(batch["motion"])[valid].cpu().numpy())
+            )
+        correlation = np.corrcoef(*(np.concatenate(side) for side in zip(*gaps, strict=True)))
+        loss = float(np.mean(losses))
+        return {"loss": loss, "opening_correlation": float(correlation[0, 1]), "score": loss}
+
+    def export(self, directory: Path, training: dict[str, Any]) -> None:
+        """Weights and options; the motion statistics keep full precision."""
+        config = {
+            "format": "freetalk-ats",
+            "version": 1,
+            "options": self.model.options.to_dict(),
+            "emotions": list(self.corpus.emotions),
+            "fps": self.corpus.fps,
+            "training": training,
+        }
+        export_model(directory, config, dict(self.model.state_dict()), keep_float32="motion_")
+
+    def _terms(self, batch: dict[str, Any], step: Tensor, noise: Tensor) -> dict[str, Tensor]:
+        o = self.options
+        target = batch["motion"]
+        guess = self._denoise(batch, step, noise)
+        if o.loss_units == "metres":
+            guess, target = guess * self.spread, target * self.spread  # the mean cancels
+        shape = (*guess.shape[:-1], NUM_LANDMARKS, 3)
+        guess, target = guess.view(shape), target.view(shape)
+        terms = motion_loss(
+            guess,
+            target,
+            batch["valid"],
+            o.lambda_velocity,
+            o.lambda_acceleration,
+            self.point_weights,
+        )
+        if o.opening_weight > 0:
+            upper, lower = _INNER_LIP_PAIRS
+            gap = guess[..., upper, :] - guess[..., lower, :]
+            wanted = target[..., upper, :] - target[..., lower, :]
+            terms["opening"] = motion_loss(gap, wanted, batch["valid"])["loss"]
+            terms["loss"] = terms["loss"] + o.opening_weight * terms["opening"]
+        return terms
+
+    def _denoise(self, batch: dict[str, Any], step: Tensor, noise: Tensor) -> Tensor:
+        noisy = self.schedule.q_sample(batch["motion"], step, noise=noise)
+        guess: Tensor = self.model(
+            noisy,
+            step,
+            audio=batch["audio"],
+            emotion=batch["emotion"],
+            intensity=batch["intensity"],
+            valid=batch["valid"],
+            drop_audio=batch.get("drop_audio"),
+            drop_affect=batch.get("drop_affect"),
+        )
+        return guess.float()
+
+    def _window(
+        self, sequence: MotionSequence, rng: np.random.Generator, altered: bool = True
+    ) -> dict[str, Any]:
+        copies = self.features.copies(sequence)
+        copy = copies[int(rng.integers(len(copies)))] if altered else copies[0]
+        length = self.model_options.max_frames
+        start = int(rng.integers(0, max(1, copy.num_frames - length + 1)))
+        audio = self.features.features(copy, start, start + length)
+        if altered and self.options.feature_noise > 0:
+            noise = rng.standard_normal(audio.shape).astype(np.float32)
+            audio = audio + self.options.feature_noise * self.features.spread * noise
+        frames = (start + np.arange(len(audio))) * copy.speed
+        motion = interpolate_frames(self._motion[sequence.id], frames)
+        return {
+            "audio": audio,
+            "motion": motion.reshape(len(motion), -1),
+            "emotion": sequence.emotion,
+            "intensity": sequence.intensity,
+        }
+
+    def _stack(self, items: list[dict[str, Any]]) -> dict[str, Any]:
+        longest = max(len(item["motion"]) for item in items)
+        audio = torch.zeros(len(items), longest, self.features.width)
+        motion = torch.zeros(len(items), longest, 3 * NUM_LANDMARKS)
+        valid = torch.zeros(len(items), longest, dtype=torch.bool)
+        emotion = torch.zeros(len(items), len(self.corpus.emotions))
+        for row, item in enumerate(items):
+            frames = len(item["motion"])
+            audio[row, :frames] = torch.from_numpy(item["audio"])
+            motion[row, :frames] = torch.from_numpy(item["motion"])
+            valid[row, :frames] = True
+            emotion[row, item["emotion"]] = 1.0
+        intensity = torch.tensor([item["intensity"] for item in items], dtype=torch.float32)
+        motion = (motion.to(self.device) - self.mean) / self.spread
+        return {
+            "audio": audio.to(self.device),
+            "motion": motion * valid.to(self.device)[..., None],
+            "valid": valid.to(self.device),
+            "emotion": emotion.to(self.device),
+            "intensity": intensity.to(self.device),
+        }
+
+    def _statistics(self) -> tuple[Tensor, Tensor]:
+        """Mean and spread of each coordinate over what the sampler draws."""
+        rng = np.random.default_rng(_VALIDATION_SEED)
+        drawn = [self._motion[self.sampler.draw(rng).id] for _ in range(600)]
+        frames = np.concatenate([m[rng.integers(0, len(m), 100)] for m in drawn])
+        frames = frames.reshape(len(frames), -1)
+        spread = frames.std(axis=0)
+        spread = np.maximum(spread, _SPREAD_FLOOR * spread.mean()).clip(1e-6)
+        return torch.from_numpy(frames.mean(axis=0)).float(), torch.from_numpy(spread).float()
+
+    def _landmark_weights(self) -> Tensor | None:
+        if self.options.lip_weight == 1.0:
+            return None
+        weights = torch.ones(NUM_LANDMARKS)
+        weights[list(_LIPS)] = self.options.lip_weight
+        return (weights / weights.mean()).to(self.device)
+
+    def _gap(self, motion: Tensor) -> Tensor:
+        metres = (motion * self.spread + self.mean).unflatten(-1, (NUM_LANDMARKS, 3))
+        return metres[..., 62, 1] - metres[..., 66, 1]
+
+
+def _audible(sequences: list[MotionSequence]) -> list[MotionSequence]:
+    """Sequences with sound, and those whose silence is meant."""
+    return [s for s in sequences if s.audio is not None or s.source == "rest"]
+
+
+def _speech_encoder(options: AtsTaskOptions, out: Path) -> Path:
+    if options.speech_encoder:
+        return Path(options.speech_encoder)
+    trained = out / "speech"
+    if (trained / "config.json").is_file():
+        return trained
+    return Path(__file__).parents[1] / "pretrained" / "open-small" / "speech"

@@ -1,0 +1,127 @@
+"""Checkpoints: a folder per saved step, swapped in whole; tensors as safetensors, the rest as JSON."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from freetalk import _native
+
+_POINTER = "last.json"
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Writes JSON so that a reader sees the old or the new file, never a part."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary.write_text(json.dumps(value, indent=2) + "\n")
+    temporary.replace(path)
+
+
+def save_checkpoint(
+    directory: Path,
+    step: int,
+    tensors: dict[str, dict[str, Tensor]],
+    optimizer: dict[str, Any],
+    state: dict[str, Any],
+) -> None:
+    """Saves a step and forgets the one before; stopping at any moment leaves one of them whole.
+
+    Args:
+        directory: folder of the checkpoints.
+        step: number of finished steps.
+        tensors: groups of tensors, each written to its own safetensors file.
+        optimizer: an optimiser's ``state_dict()``.
+        state: JSON values.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    name = f"step_{step:07d}"
+    temporary = directory / f".{name}.{os.getpid()}"
+    shutil.rmtree(temporary, ignore_errors=True)
+    temporary.mkdir()
+    for group, items in tensors.items():
+        contiguous = {key: value.detach().cpu().contiguous() for key, value in items.items()}
+        _native.core.save_safetensors(str(temporary / f"{group}.safetensors"), contiguous)
+    torch.save(optimizer, temporary / "optimizer.pt")
+    write_json(temporary / "state.json", {"step": step, **state})
+    final = directory / name
+    if final.exists():
+        shutil.rmtree(final)
+    temporary.replace(final)
+    write_json(directory / _POINTER, {"checkpoint": name})
+    for old in directory.glob("step_*"):
+        if old.name != name:
+            shutil.rmtree(old, ignore_errors=True)
+    for left in directory.glob(".step_*"):
+        shutil.rmtree(left, ignore_errors=True)
+
+
+def find_checkpoint(directory: Path) -> Path | None:
+    """The newest whole checkpoint, or ``None``."""
+    pointer = directory / _POINTER
+    if not pointer.is_file():
+        return None
+    path = directory / str(json.loads(pointer.read_text())["checkpoint"])
+    if not (path / "state.json").is_file():
+        raise FileNotFoundError(
+            f"{pointer} names {path.name}, which is missing; delete {directory} to start anew"
+        )
+    return path
+
+
+def load_checkpoint(
+    path: Path,
+) -> tuple[dict[str, dict[str, Tensor]], dict[str, Any], dict[str, Any]]:
+    """Reads back what :func:`save_checkpoint` wrote: tensors, optimiser state, JSON values."""
+    tensors = {
+        file.stem: _native.core.load_safetensors(str(file)) for file in path.glob("*.safetensors")
+    }
+    optimizer = torch.load(path / "optimizer.pt", map_location="cpu", weights_only=True)
+    state: dict[str, Any] = json.loads((path / "state.json").read_text())
+    return tensors, optimizer, state
+
+
+def export_model(
+    directory: Path, config: dict[str, Any], state: dict[str, Tensor], keep_float32: str = ""
+) -> None:
+    """Writes ``model.safetensors`` (float16) and ``config.json`` for inference.
+
+    Args:
+        directory: folder to write to.
+        config: contents of config.json.
+        state: tensors by name.
+        keep_float32: tensors whose name starts with this keep full precision.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    halved: dict[str, Tensor] = {}
+    for name, tensor in state.items():
+        value = tensor.detach().cpu()
+        whole = bool(keep_float32) and name.startswith(keep_float32)
+        halved[name] = (
+            value.half() if value.is_floating_point() and not whole else value.clone()
+        ).contiguous()
+    path = str(directory / "model.safetensors")
+    _native.core.save_safetensors(path, halved, {"format": "pt"})
+    write_json(directory / "config.json", config)
+
+
+def git_commit() -> str:
+    """Commit of the source tree that this package runs from, or ``unknown``."""
+    try:
+        done = subprocess.run(
+            ["git", "rev-parse", "HEAD"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=10,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return done.stdout.strip()

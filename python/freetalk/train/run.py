@@ -1,0 +1,76 @@
+"""Entry point of every training."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+from freetalk.data import OpenCorpus
+from freetalk.train.config import LoopOptions, TrainingConfig, load_config
+from freetalk.train.loop import Task, Trainer, TrainingResult, write_run_record
+
+
+def run(
+    kind: str, config_path: str | Path, overrides: list[str], data: str | Path, out: str | Path
+) -> TrainingResult:
+    """Trains a model; an interrupted run continues when called again with the same `out`.
+
+    Writes below `out`: ``<kind>/`` (weights for inference, after every validation that improves),
+    ``checkpoints/<kind>/``, ``tensorboard/<kind>/``, ``run_<kind>.json``.
+
+    Args:
+        kind: ``ats``, ``stm`` or ``speech``.
+        config_path: YAML file with sections ``model``, ``loop`` and ``task``.
+        overrides: ``section.key=value`` pairs that win over the file.
+        data: folder of the corpus.
+        out: folder to write to.
+
+    Returns:
+        How it ended.
+
+    Raises:
+        ValueError: the configuration or the corpus is wrong.
+        FileNotFoundError: a file is missing.
+        RuntimeError: the loss or a gradient is not finite.
+    """
+    config = load_config(kind, config_path, overrides)
+    device = choose_device(config.loop)
+    if config.loop.threads > 0:
+        torch.set_num_threads(config.loop.threads)
+    corpus = OpenCorpus(data)
+    corpus.check()
+    out = Path(out)
+    torch.manual_seed(config.loop.seed)  # initial weights
+    task = make_task(config, corpus, out, device)
+    write_run_record(out, config, Path(data))
+    return Trainer(task, config, out).run()
+
+
+def make_task(config: TrainingConfig, corpus: OpenCorpus, out: Path, device: torch.device) -> Task:
+    """The task of a configuration's kind, its model on `device`."""
+    # Each training imports only the rooms it needs.
+    if config.kind == "ats":
+        from freetalk.train.ats import AtsTask
+
+        return AtsTask(config, corpus, out, device)
+    if config.kind == "stm":
+        from freetalk.train.stm import StmTask
+
+        return StmTask(config, corpus, out, device)
+    from freetalk.train.speech import SpeechTask
+
+    return SpeechTask(config, corpus, out, device)
+
+
+def choose_device(options: LoopOptions) -> torch.device:
+    """Where to train.
+
+    Raises:
+        ValueError: CUDA is asked for and absent.
+    """
+    if options.device == "cuda" and not torch.cuda.is_available():
+        raise ValueError("loop.device is cuda, but this machine has no usable GPU")
+    if options.device == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    return torch.device(options.device)

@@ -1,0 +1,283 @@
+"""Training of a speech encoder from scratch: supervised by what a face has to know of speech.
+
+No self-supervised weights are needed: the encoder learns to tell phones, spectra, mouth curves and the lip
+opening from the sound. The heads are dropped at export.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from freetalk.data import MotionSequence, OpenCorpus
+from freetalk.speech import SpeechEncoder, SpeechEncoderOptions, normalize_wave
+from freetalk.train.augment import augment_wave, change_speed
+from freetalk.train.checkpoint import export_model
+from freetalk.train.config import SpeechTaskOptions, TrainingConfig
+from freetalk.train.sampling import SequenceSampler, numpy_generator
+from freetalk.train.speech_targets import IGNORED_PHONE, SpeechTargets, log_mel
+
+_VALIDATION_SEED = 20
+
+
+class SpeechModel(nn.Module):
+    """The encoder and its teachers: linear heads, those of motion separate for each source."""
+
+    def __init__(
+        self,
+        options: SpeechEncoderOptions,
+        num_phones: int,
+        num_mels: int,
+        num_curves: int,
+        sources: list[str],
+    ) -> None:
+        super().__init__()
+        width = options.hidden_size
+        self.encoder = SpeechEncoder(options)
+        self.phones = nn.Linear(width, num_phones)
+        self.mels = nn.Linear(width, num_mels)
+        self.sources = sources
+        self.motion = nn.Linear(width, len(sources) * (1 + num_curves))
+
+    def forward(self, wave: Tensor, source: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Phone logits, log-mels, curves and opening of (B, S) normalised samples."""
+        hidden = self.encoder(wave)  # (B, S', C)
+        motion = self.motion(hidden).unflatten(-1, (len(self.sources), -1))
+        own = motion[torch.arange(len(source), device=source.device), :, source]
+        return self.phones(hidden), self.mels(hidden), own[..., 1:], own[..., 0]
+
+
+class SpeechTask:
+    """Random crops of the train split, altered in sound, with targets at the encoder's frames."""
+
+    def __init__(
+        self, config: TrainingConfig, corpus: OpenCorpus, out: Path, device: torch.device
+    ) -> None:
+        assert isinstance(config.task, SpeechTaskOptions)
+        self.options = config.task
+        self.corpus = corpus
+        self.batch_size = config.loop.batch_size
+        self.device = device
+        heard = [s for s in corpus.sequences("train") if s.audio is not None]
+        self.sampler = SequenceSampler(heard, self.options.source_weights)
+        self.targets = SpeechTargets(corpus, self.sampler.sequences)
+        self.sources = sorted({s.source for s in self.sampler.sequences})
+        self.held_out = [
+            s
+            for s in corpus.sequences("val")
+            if s.audio is not None and s.source in self.sources
+        ]
+        options = SpeechEncoderOptions.from_dict(config.model)
+        self.model: SpeechModel = SpeechModel(
+            options,
+            len(self.targets.phones),
+            self.options.num_mels,
+            self.targets.num_curves,
+            self.sources,
+        ).to(device)
+        self._timing = self.model.encoder.timing
+        self._audio: dict[str, npt.NDArray[np.int16]] = {}
+        if options.conv_kernel[0] >= 160:
+            self._start_from_filters(options.conv_dim[0], options.conv_kernel[0])
+
+    def batch(self, generator: torch.Generator) -> dict[str, Any]:
+        """Crops with their targets."""
+        rng = numpy_generator(generator)
+        items = [self._crop(self.sampler.draw(rng), rng) for _ in range(self.batch_size)]
+        return self._stack(items)
+
+    def loss(self, batch: dict[str, Any], generator: torch.Generator) -> dict[str, Tensor]:
+        """Weighted sum of the four teachers' losses."""
+        phones, mels, curves, opening = self._predict(batch)
+        valid = batch["valid"]
+        return self._terms(batch, phones, mels, curves, opening, valid)
+
+    def validate(self) -> dict[str, float]:
+        """Loss, phone accuracy and opening correlation on unaltered crops of the val split."""
+        sums: dict[str, list[float]] = {}
+        predicted: dict[str, list[npt.NDArray[np.float32]]] = {}
+        true: dict[str, list[npt.NDArray[np.float32]]] = {}
+        for batch in self._validation_batches():
+            phones, mels, curves, opening = self._predict(batch)
+            valid = batch["valid"]
+            terms = self._terms(batch, phones, mels, curves, opening, valid)
+            known = (batch["phones"] != IGNORED_PHONE) & valid
+            if bool(known.any()):
+                hits = (phones.argmax(-1) == batch["phones"])[known].float().mean()
+                sums.setdefault("phone_accuracy", []).append(float(hits))
+            for name, value in terms.items():
+                sums.setdefault(name, []).append(float(value))
+            for row, source in enumerate(batch["source"].tolist()):
+                name = self.sources[source]
+                keep = valid[row]
+                predicted.setdefault(name, []).append(opening[row][keep].float().cpu().numpy())
+                true.setdefault(name, []).append(batch["opening"][row][keep].cpu().numpy())
+        scores = {name: float(np.mean(values)) for name, values in sums.items()}
+        for name in predicted:
+            wanted = np.concatenate(true[name])
+            if wanted.std() > 1e-3:  # a resting face has no opening to follow
+                both = np.corrcoef(np.concatenate(predicted[name]), wanted)
+                scores[f"opening_correlation_{name}"] = float(both[0, 1])
+        scores["score"] = scores["loss"]
+        return scores
+
+    def export(self, directory: Path, training: dict[str, Any]) -> None:
+        """The encoder alone, in the layout of Hugging Face."""
+        config = {
+            "architectures": ["HubertModel"],
+            **self.model.encoder.options.to_dict(),
+            "training": training,
+        }
+        export_model(directory, config, dict(self.model.encoder.state_dict()))
+
+    def _predict(self, batch: dict[str, Any]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        result: tuple[Tensor, Tensor, Tensor, Tensor] = self.model(batch["wave"], batch["source"])
+        return result
+
+    def _terms(
+        self,
+        batch: dict[str, Any],
+        phones: Tensor,
+        mels: Tensor,
+        curves: Tensor,
+        opening: Tensor,
+        valid: Tensor,
+    ) -> dict[str, Tensor]:
+        o = self.options
+        labels = batch["phones"].masked_fill(~valid, IGNORED_PHONE)
+        count = (labels != IGNORED_PHONE).sum().clamp_min(1)
+        entropy = functional.cross_entropy(
+            phones.float().flatten(0, 1), labels.flatten(), reduction="sum", label_smoothing=0.05
+        )
+        terms = {
+            "phones": entropy / count,
+            "mels": _mean_square(mels, batch["mels"], valid),
+            "curves": _mean_square(curves, batch["curves"], valid),
+            "opening": _mean_square(opening[..., None], batch["opening"][..., None], valid),
+        }
+        terms["loss"] = (
+            o.phone_weight * terms["phones"]
+            + o.mel_weight * terms["mels"]
+            + o.curve_weight * terms["curves"]
+            + o.opening_weight * terms["opening"]
+        )
+        return terms
+
+    def _crop(
+        self, sequence: MotionSequence, rng: np.random.Generator, altered: bool = True
+    ) -> dict[str, Any]:
+        rate = self.corpus.sample_rate_hz
+        length = int(self.options.crop_s * rate)
+        reach = self.options.speed_range if altered else 0.0
+        speed = 1.0 + rng.uniform(-reach, reach)
+        source = self._wave(sequence)
+        needed = int(length * speed) + 2
+        start = int(rng.integers(0, max(1, len(source) - needed + 1)))
+        piece = source[start : start + needed].astype(np.float32) / 32768
+        clean = change_speed(piece, speed)[:length]
+        heard = len(clean)
+        clean = np.pad(clean, (0, length - heard))
+        wave = clean
+        if altered and rng.random() < self.options.augment:
+            wave = augment_wave(clean, rng, rate)
+        frames = self.model.encoder.num_frames(length)
+        times = self._timing.offset_s + np.arange(frames) / self._timing.rate_hz
+        at_source = (start / rate + times * speed).astype(np.float32)
+        curves, opening = self.targets.motion_at(sequence, at_source)
+        inside = (times * rate < heard) & (at_source * self.corpus.fps < sequence.num_frames)
+        return {
+            "wave": wave,
+            "clean": clean,
+            "phones": self.targets.phones_at(sequence, at_source),
+            "curves": curves,
+            "opening": opening,
+            "valid": inside,
+            "source": self.sources.index(sequence.source),
+        }
+
+    def _stack(self, items: list[dict[str, Any]]) -> dict[str, Any]:
+        batch: dict[str, Any] = {
+            key: torch.from_numpy(np.stack([item[key] for item in items])).to(self.device)
+            for key in ("phones", "curves", "opening", "valid")
+        }
+        wave = torch.from_numpy(np.stack([item["wave"] for item in items])).to(self.device)
+        clean = torch.from_numpy(np.stack([item["clean"] for item in items])).to(self.device)
+        batch["wave"] = normalize_wave(wave)
+        batch["source"] = torch.tensor([item["source"] for item in items], device=self.device)
+        batch["mels"] = log_mel(
+            normalize_wave(clean),
+            batch["phones"].shape[1],
+            self._timing.offset_s,
+            self.options.num_mels,
+        )
+        return batch
+
+    def _validation_batches(self) -> list[dict[str, Any]]:
+        if not self.held_out:
+            raise ValueError("the corpus has no sequences with audio in its val split")
+        rng = np.random.default_rng(_VALIDATION_SEED)
+        per_source = max(1, self.options.validation_crops // len(self.sources))
+        items = []
+        for source in self.sources:
+            own = [s for s in self.held_out if s.source == source]
+            if own:
+                sampler = SequenceSampler(own, {})
+                drawn = [sampler.draw(rng) for _ in range(per_source)]
+                items += [self._crop(s, rng, altered=False) for s in drawn]
+        size = self.batch_size
+        return [self._stack(items[i : i + size]) for i in range(0, len(items), size)]
+
+    def _wave(self, sequence: MotionSequence) -> npt.NDArray[np.int16]:
+        if sequence.id not in self._audio:
+            samples = np.clip(self.corpus.audio(sequence), -1.0, 1.0)
+            self._audio[sequence.id] = np.round(samples * 32767).astype(np.int16)
+        return self._audio[sequence.id]
+
+    @torch.no_grad()
+    def _start_from_filters(self, channels: int, taps: int) -> None:
+        """Lets the first convolution start as a bank of mel-spaced Gabor filters in four phases.
+
+        Training from waves is short here; what a filter bank knows need not be learnt.
+        """
+        weights = dict(self.model.encoder.named_parameters())
+        kernel = weights["feature_extractor.conv_layers.0.conv.weight"]  # (C, 1, taps)
+        bank = gabor_bank(channels, taps, self.corpus.sample_rate_hz).to(kernel)
+        rng = np.random.default_rng(_VALIDATION_SEED)
+        drawn = [self.sampler.draw(rng) for _ in range(16)]
+        items = [self._crop(s, rng, altered=False)["wave"] for s in drawn]
+        waves = normalize_wave(torch.from_numpy(np.stack(items))).to(kernel)
+        response = functional.conv1d(waves[:, None], bank, stride=80)
+        level = response.square().mean(dim=(0, 2)).sqrt().clamp_min(1e-4)
+        kernel.copy_(bank / level[:, None, None])
+        bias = weights.get("feature_extractor.conv_layers.0.conv.bias")
+        if bias is not None:  # a floor under the norm, so that silence stays apart from speech
+            generator = torch.Generator().manual_seed(_VALIDATION_SEED)
+            bias.copy_(0.3 * torch.randn(bias.shape, generator=generator).to(bias))
+
+
+def gabor_bank(channels: int, taps: int, sample_rate_hz: int) -> Tensor:
+    """Windowed sinusoids at mel-spaced frequencies, phases 0, 90, 180, 270 degrees; (C, 1, taps)."""
+    bands = max(1, math.ceil(channels / 4))
+    mel = torch.linspace(2595 * math.log10(1 + 70 / 700), 2595 * math.log10(1 + 7400 / 700), bands)
+    hertz = 700 * (10 ** (mel / 2595) - 1)
+    times = (torch.arange(taps) - (taps - 1) / 2) / sample_rate_hz
+    width_s = (1.2 / (0.1 * hertz + 60)).clamp_max(taps / sample_rate_hz / 2.5)
+    window = torch.exp(-0.5 * (times / (0.5 * width_s[:, None])) ** 2)
+    angle = 2 * math.pi * hertz[:, None] * times
+    phases = torch.tensor([0.0, 0.5, 1.0, 1.5]) * math.pi
+    bank = window[:, None] * torch.cos(angle[:, None] - phases[:, None])  # (bands, 4, taps)
+    bank = bank - bank.mean(dim=-1, keepdim=True)
+    bank = bank / bank.norm(dim=-1, keepdim=True).clamp_min(1e-6)
+    return bank.flatten(0, 1)[:channels, None]
+
+
+def _mean_square(prediction: Tensor, target: Tensor, valid: Tensor) -> Tensor:
+    squared = (prediction.float() - target).square().mean(dim=-1) * valid
+    return squared.sum() / valid.sum().clamp_min(1)

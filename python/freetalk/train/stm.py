@@ -1,0 +1,188 @@
+"""Training of the landmarks-to-mesh network [FreeTalk 3.2-3.3, supp. 2-3]."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from freetalk.data import OpenCorpus
+from freetalk.stm import Stm, StmOptions
+from freetalk.train.checkpoint import export_model
+from freetalk.train.config import StmTaskOptions, TrainingConfig
+from freetalk.train.losses import motion_loss
+from freetalk.train.sampling import SequenceSampler, numpy_generator
+from freetalk.train.stm_meshes import (
+    Placement,
+    PreparedMesh,
+    prepare_meshes,
+    random_placement,
+    random_weights,
+)
+
+_VALIDATION_SEED = 40
+_VALIDATION_MESHES = 4
+#: Mean square displacement (m^2) below which a window counts as this much: 0.5 mm.
+_RELATIVE_FLOOR = 0.0005**2
+
+
+class StmTask:
+    """Windows of consecutive frames on randomly placed faces of many meshings."""
+
+    def __init__(
+        self, config: TrainingConfig, corpus: OpenCorpus, out: Path, device: torch.device
+    ) -> None:
+        assert isinstance(config.task, StmTaskOptions)
+        self.options = config.task
+        self.corpus = corpus
+        self.batch_size = config.loop.batch_size
+        self.device = device
+        weights = dict(self.options.source_weights)
+        total = sum(weights.values())
+        self._random_share = weights.pop("random", 0.0) / total if total else 0.0
+        self.sampler = SequenceSampler(corpus.sequences("train"), weights)
+        self.held_out = SequenceSampler(corpus.sequences("val"), {})
+        self._landmark_basis, determined = corpus.landmark_basis()
+        self._drawable = np.flatnonzero(determined)
+        self.model = Stm(StmOptions.from_dict(config.model)).to(device)
+        self.meshes = self._prepare("train", self.options.num_meshes)
+        self._held_out_meshes = self._prepare("val", _VALIDATION_MESHES)
+
+    def batch(self, generator: torch.Generator) -> dict[str, Any]:
+        """Per item a face, its place, and a window of motion."""
+        rng = numpy_generator(generator)
+        items = []
+        for _ in range(self.batch_size):
+            index = int(rng.integers(len(self.meshes)))
+            placement = random_placement(
+                rng,
+                self.options.rotation_deg,
+                self.options.translation_m,
+                self.options.scale_range,
+                self.device,
+            )
+            weights, landmarks = self._window(rng)
+            noise = rng.standard_normal(landmarks.shape) * self.options.landmark_noise_m
+            items.append(
+                {
+                    "mesh": index,
+                    "rotation": placement.rotation,
+                    "translation": placement.translation,
+                    "scale": placement.scale,
+                    "weights": torch.from_numpy(weights),
+                    "landmarks": torch.from_numpy((landmarks + noise).astype(np.float32)),
+                }
+            )
+        return {"items": items}
+
+    def loss(self, batch: dict[str, Any], generator: torch.Generator) -> dict[str, Tensor]:
+        """Eq. 15 over vertices, averaged over the batch's faces."""
+        totals: dict[str, Tensor] = {}
+        for item in batch["items"]:
+            mesh = self.meshes[item["mesh"]]
+            placement = Placement(item["rotation"], item["translation"], item["scale"])
+            prediction, target = self._predict(mesh, item["weights"], item["landmarks"], placement)
+            for name, value in self._terms(mesh, prediction, target).items():
+                totals[name] = totals.get(name, torch.zeros((), device=self.device)) + value
+        return {name: value / len(batch["items"]) for name, value in totals.items()}
+
+    def validate(self) -> dict[str, float]:
+        """Mean vertex error relative to the zero motion's, on faces and meshings not trained on."""
+        rng = np.random.default_rng(_VALIDATION_SEED)
+        sums = np.zeros(4)
+        per_mesh = max(1, self.options.validation_windows // len(self._held_out_meshes))
+        still = Placement(
+            torch.eye(3, device=self.device), torch.zeros(3, device=self.device), 1.0
+        )
+        for mesh in self._held_out_meshes:
+            for _ in range(per_mesh):
+                sequence = self.held_out.draw(rng)
+                start = int(rng.integers(0, max(1, sequence.num_frames - self.options.frames)))
+                stop = start + self.options.frames
+                weights = torch.from_numpy(self.corpus.weights(sequence, start, stop))
+                landmarks = torch.from_numpy(self.corpus.landmarks(sequence, start, stop))
+                prediction, target = self._predict(mesh, weights, landmarks, still)
+                error, motion = (prediction - target).norm(dim=-1), target.norm(dim=-1)
+                lips = mesh.lip_mask
+                sums += [
+                    float(error.mean()),
+                    float(motion.mean()),
+                    float(error[:, lips].mean()) if bool(lips.any()) else 0.0,
+                    float(motion[:, lips].mean()) if bool(lips.any()) else 0.0,
+                ]
+        relative, lips = sums[0] / max(sums[1], 1e-12), sums[2] / max(sums[3], 1e-12)
+        return {
+            "relative_error": relative,
+            "relative_lip_error": lips,
+            "score": 0.5 * (relative + lips),
+        }
+
+    def export(self, directory: Path, training: dict[str, Any]) -> None:
+        """Weights and options."""
+        config = {
+            "format": "freetalk-stm",
+            "version": 1,
+            "options": self.model.options.to_dict(),
+            "training": training,
+        }
+        export_model(directory, config, dict(self.model.state_dict()))
+
+    def _predict(
+        self, mesh: PreparedMesh, weights: Tensor, landmarks: Tensor, placement: Placement
+    ) -> tuple[Tensor, Tensor]:
+        """Predicted and true displacements of a window, (T, V, 3) m."""
+        prediction = self.model(
+            placement.moved(mesh.positions),
+            placement.operators(mesh.operators),
+            placement.turned(landmarks.to(self.device)),
+        )
+        true = self.corpus.displacements_of(mesh.topology, weights.numpy())
+        return prediction.float(), placement.turned(torch.from_numpy(true).to(self.device))
+
+    def _terms(self, mesh: PreparedMesh, prediction: Tensor, target: Tensor) -> dict[str, Tensor]:
+        o = self.options
+        weights = None
+        if o.lip_weight != 1.0:
+            weights = 1.0 + (o.lip_weight - 1.0) * mesh.lip_mask.float()
+            weights = weights / weights.mean()
+        terms = motion_loss(
+            prediction, target, None, o.lambda_velocity, o.lambda_acceleration, weights
+        )
+        terms["error_mm"] = 1000 * (prediction - target).detach().norm(dim=-1).mean()
+        if o.relative:
+            size = target.square().sum(dim=-1).mean().clamp_min(_RELATIVE_FLOOR)
+            terms["loss"] = terms["loss"] / size
+        else:
+            terms["loss"] = terms["loss"] * 1e6  # mm^2: keeps gradients clear of Adam's epsilon
+        return terms
+
+    def _window(
+        self, rng: np.random.Generator
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        frames = self.options.frames
+        if rng.random() < self._random_share:
+            weights = random_weights(rng, frames, len(self.corpus.expressions), self._drawable)
+            return weights, np.tensordot(weights, self._landmark_basis, axes=1)
+        sequence = self.sampler.draw(rng)
+        start = int(rng.integers(0, max(1, sequence.num_frames - frames + 1)))
+        return (
+            self.corpus.weights(sequence, start, start + frames),
+            self.corpus.landmarks(sequence, start, start + frames),
+        )
+
+    def _prepare(self, split: str, count: int) -> list[PreparedMesh]:
+        options = self.model.options
+        return prepare_meshes(
+            self.corpus,
+            split,
+            count,
+            self.options.max_vertices,
+            options.length_scale,
+            options.k_eig,
+            self.options.operator_cache,
+            self.device,
+        )

@@ -1,0 +1,173 @@
+"""The faces that the landmarks-to-mesh stage sees: meshes with their operators, moved at random."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from freetalk.data import OpenCorpus
+from freetalk.geometry import SurfaceOperators, cached_surface_operators
+
+
+@dataclass
+class PreparedMesh:
+    """A neutral face ready for the network.
+
+    Attributes:
+        identity: index in the corpus.
+        topology: meshing in the corpus.
+        positions: (V, 3) float32, m.
+        operators: of the vertices divided by the model's ``length_scale``, float32.
+        lip_mask: (V,) bool.
+    """
+
+    identity: int
+    topology: str
+    positions: Tensor
+    operators: SurfaceOperators
+    lip_mask: Tensor
+
+
+@dataclass(frozen=True)
+class Placement:
+    """A similarity: points move to ``scale * (rotation @ x) + translation``."""
+
+    rotation: Tensor  # (3, 3)
+    translation: Tensor  # (3,)
+    scale: float
+
+    def moved(self, points: Tensor) -> Tensor:
+        """Points (..., 3) at their new place."""
+        return self.turned(points) + self.translation
+
+    def turned(self, vectors: Tensor) -> Tensor:
+        """Displacements (..., 3), which know no translation."""
+        return self.scale * (vectors @ self.rotation.T)
+
+    def operators(self, operators: SurfaceOperators) -> SurfaceOperators:
+        """Operators of the moved surface: all but scale and directions stays."""
+        moved = operators.scaled(self.scale)
+        rotation = self.rotation.to(operators.normals)
+        moved.normals = operators.normals @ rotation.T
+        moved.frames = operators.frames @ rotation.T
+        return moved
+
+
+def random_placement(
+    rng: np.random.Generator,
+    rotation_deg: float,
+    translation_m: float,
+    scale_range: float,
+    device: torch.device,
+) -> Placement:
+    """A small rotation about a random axis, a shift, a change of size."""
+    axis = rng.standard_normal(3)
+    axis /= np.linalg.norm(axis)
+    angle = np.deg2rad(rotation_deg) * rng.uniform(-1, 1)
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    rotation = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
+    return Placement(
+        torch.tensor(rotation, dtype=torch.float32, device=device),
+        torch.tensor(
+            rng.uniform(-translation_m, translation_m, 3), dtype=torch.float32, device=device
+        ),
+        float(1 + rng.uniform(-scale_range, scale_range)),
+    )
+
+
+def prepare_mesh(
+    corpus: OpenCorpus,
+    identity: int,
+    topology: str,
+    length_scale: float,
+    k_eig: int,
+    cache_dir: str | Path = "",
+    device: torch.device | None = None,
+) -> PreparedMesh:
+    """A corpus face with its operators, from the disk cache where they are known."""
+    device = device or torch.device("cpu")
+    mesh = corpus.mesh(identity, topology)
+    operators = cached_surface_operators(
+        mesh.vertices.astype(np.float64) / length_scale,
+        mesh.faces,
+        k=min(k_eig, len(mesh.vertices)),
+        cache_dir=str(cache_dir),
+    )
+    return PreparedMesh(
+        identity=identity,
+        topology=topology,
+        positions=torch.from_numpy(mesh.vertices).to(device),
+        operators=operators.to(torch.float32, device),
+        lip_mask=torch.from_numpy(mesh.lip_mask).to(device),
+    )
+
+
+def prepare_meshes(
+    corpus: OpenCorpus,
+    split: str,
+    count: int,
+    max_vertices: int,
+    length_scale: float,
+    k_eig: int,
+    cache_dir: str,
+    device: torch.device,
+) -> list[PreparedMesh]:
+    """Faces of a split, meshings in turn and identities spread over them.
+
+    Args:
+        corpus: where they come from.
+        split: of both identities and meshings.
+        count: how many pairs, 0 for all.
+        max_vertices: larger meshings are left out, 0 for no limit.
+        length_scale: metres per unit of the operators.
+        k_eig: eigenpairs.
+        cache_dir: folder of operators, empty for the user's cache.
+        device: where the tensors go.
+    """
+    sizes = {str(t["name"]): int(t["num_vertices"]) for t in corpus.manifest["topologies"]}
+    topologies = [
+        name
+        for name in corpus.topologies(split)
+        if max_vertices <= 0 or sizes[name] <= max_vertices
+    ]
+    identities = corpus.identities(split)
+    if not topologies or not identities:
+        raise ValueError(f"the corpus has no faces or no meshings in its {split} split")
+    # Round r pairs meshing j with identity r + j: every prefix is spread over both.
+    pairs = [
+        (identities[(turn + column) % len(identities)], topology)
+        for turn in range(len(identities))
+        for column, topology in enumerate(topologies)
+    ]
+    return [
+        prepare_mesh(corpus, identity, topology, length_scale, k_eig, cache_dir, device)
+        for identity, topology in tqdm(
+            pairs[: count or len(pairs)], desc=f"{split} operators", unit="mesh"
+        )
+    ]
+
+
+def random_weights(
+    rng: np.random.Generator,
+    frames: int,
+    num_expressions: int,
+    drawable: npt.NDArray[np.intp],
+) -> npt.NDArray[np.float32]:
+    """Sparse combinations of the drawable expressions that change smoothly, (T, E) in [0, 1]."""
+    weights = np.zeros((frames, num_expressions), dtype=np.float32)
+    count = int(rng.integers(1, 9))
+    active = rng.choice(drawable, size=min(count, len(drawable)), replace=False)
+    times = np.arange(frames) / 30.0
+    for column in active:
+        level, swing = rng.uniform(0, 0.6), rng.uniform(0, 0.4)
+        hertz, phase = rng.uniform(0.3, 4.0), rng.uniform(0, 2 * np.pi)
+        wave = level + swing * np.sin(2 * np.pi * hertz * times + phase)
+        weights[:, column] = np.clip(wave, 0, 1)
+    return weights
