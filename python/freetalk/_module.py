@@ -28,6 +28,7 @@ class NativeModule(nn.Module):
     _impl_type: ClassVar[Any]
     _options_type: ClassVar[Any]
     _format: ClassVar[str]
+    _impl: Any
 
     def __init__(self, options: Any = None, **fields: Any) -> None:
         super().__init__()
