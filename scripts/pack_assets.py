@@ -3,10 +3,10 @@
 
     scripts/pack_assets.py --source DIR [--out python/freetalk/assets]
 
-DIR holds the folders `ict_facekit`, `facegood_audio2face`, `livelinkface_rom` and `speech_english`, each with
-its LICENSE and SOURCE.txt. Deltas become integers of a fixed step (10 micrometres), differenced along the
-vertices and packed low byte before high byte, which is what makes them compress; audio becomes FLAC.
-`manifest.json` lists every file with its size and SHA-256.
+DIR holds the folders `ict_facekit`, `facegood_audio2face`, `livelinkface_rom`, `emodb` and
+`speech_english`, each with its LICENSE and SOURCE.txt. Deltas become integers of a fixed step
+(10 micrometres), differenced along the vertices and packed low byte before high byte, which is what
+makes them compress; audio becomes FLAC. `manifest.json` lists every file with its size and SHA-256.
 """
 
 from __future__ import annotations
@@ -24,17 +24,22 @@ import soundfile as sf
 STEP_CM = 0.001
 FACE_VERTICES = 14062  # face, head, neck and sockets: the part whose identity modes are kept
 TAKES = ("1114_2_01", "1114_2_02", "1114_2_03", "1114_2_04", "1114_2_05", "1114_3_15")
+CLIPS_A_SPEAKER = 23
+CLIPS_AN_EMOTION = 5
 NOTES = {
-    "ict_facekit": "Packed: faces.npz (see freetalk.corpus.assets.load_face_model). Expression deltas of all "
-    "vertices and identity modes of the first 14,062 vertices, quantised to 10 micrometres.",
-    "facegood_audio2face": "Packed: audio as FLAC (lossless), the active curves as uint16 / 65535, both per take.",
+    "ict_facekit": "Packed: faces.npz (see freetalk.corpus.assets.load_face_model). Expression deltas "
+    "of all vertices and identity modes of the first 14,062 vertices, quantised to 10 micrometres.",
+    "facegood_audio2face": "Packed: audio as FLAC (lossless), the active curves as uint16 / 65535, "
+    "both per take.",
+    "emodb": "Packed: the best recognised clips that have phone labels, up to 23 a speaker, one FLAC "
+    "(lossless) a speaker; index.json gives each clip's samples, emotion, text and phone labels.",
     "livelinkface_rom": "Packed: the 52 ARKit weights as uint16 / 65535.",
     "speech_english": "Packed: jfk.wav only, as FLAC (lossless).",
 }
 
 
 def pack_deltas(deltas: np.ndarray) -> np.ndarray:
-    """Packs (K, V, 3) deltas in centimetres into bytes; `freetalk.corpus.assets.unpack_deltas` undoes it."""
+    """Packs (K, V, 3) deltas in cm into bytes; `freetalk.corpus.assets.unpack_deltas` undoes it."""
     steps = np.round(np.asarray(deltas, np.float64).transpose(0, 2, 1) / STEP_CM).astype(np.int32)
     diff = np.diff(steps, axis=-1, prepend=0)
     zigzag = ((diff << 1) ^ (diff >> 31)).astype(np.uint32)
@@ -88,6 +93,47 @@ def pack_livelink(source: Path, out: Path) -> None:
     )
 
 
+def read_labels(path: Path) -> list[tuple[float, str]]:
+    """(end in seconds, label) of a label file; modifiers are dropped, a bare modifier keeps the label."""
+    labels: list[tuple[float, str]] = []
+    for line in path.read_text(encoding="latin-1").split("#\n", 1)[-1].splitlines():
+        fields = line.split()
+        if len(fields) < 2:
+            continue
+        label = fields[2] if len(fields) > 2 else ""
+        if label[:1] in ("", "+", "-") and labels:
+            label = labels[-1][1]
+        if labels and labels[-1][1] == label:
+            labels.pop()
+        labels.append((float(fields[0]), label))
+    return labels
+
+
+def pack_emodb(source: Path, out: Path) -> None:
+    with (source / "index.csv").open(newline="", encoding="utf-8") as file:
+        rows = sorted(csv.DictReader(file), key=lambda r: -float(r["recognised_pct"] or 0))
+    index: list[dict[str, object]] = []
+    for speaker in sorted({row["speaker"] for row in rows}):
+        chosen: dict[str, int] = {}
+        pieces, start = [], 0
+        for row in (r for r in rows if r["speaker"] == speaker):
+            labels = sorted((source / "lablaut").glob(row["file"][:7] + "*"))
+            phones = read_labels(labels[0]) if labels else []
+            full = sum(chosen.values()) >= CLIPS_A_SPEAKER
+            if full or len(phones) < 12 or chosen.get(row["emotion"], 0) >= CLIPS_AN_EMOTION:
+                continue
+            audio, rate = sf.read(source / "wav" / row["file"], dtype="int16")
+            audio = audio[: int(min(2.0, phones[-1][0] + 0.05) * rate)]
+            chosen[row["emotion"]] = chosen.get(row["emotion"], 0) + 1
+            entry = {"clip": row["file"][:-4], "speaker": speaker, "emotion": row["emotion"]}
+            entry |= {"text": row["text"], "start": start, "samples": len(audio), "phones": phones}
+            index.append(entry)
+            pieces.append(audio)
+            start += len(audio)
+        sf.write(out / f"{speaker}.flac", np.concatenate(pieces), rate, subtype="PCM_16")
+    (out / "index.json").write_text(json.dumps(index, ensure_ascii=False))
+
+
 def pack_speech(source: Path, out: Path) -> None:
     audio, rate = sf.read(source / "jfk.wav", dtype="int16")
     sf.write(out / "jfk.flac", audio, rate, subtype="PCM_16")
@@ -97,6 +143,7 @@ PACKERS = {
     "ict_facekit": pack_face_model,
     "facegood_audio2face": pack_facegood,
     "livelinkface_rom": pack_livelink,
+    "emodb": pack_emodb,
     "speech_english": pack_speech,
 }
 

@@ -23,6 +23,8 @@ EXTENTS = {"narrow": 6706, "face": 9409, "head": 11248, "sockets": 14062, "full"
 
 TRAIN_TAKES = ("1114_2_01", "1114_2_02", "1114_2_03", "1114_2_04", "1114_2_05")
 TEST_TAKES = ("1114_3_15",)
+SPEAKERS = {"train": ("03", "08", "11", "12", "13", "14"), "val": ("10",), "test": ("09",)}
+"""Emo-DB speakers by split."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,18 @@ class Take:
     fps: float
 
 
+@dataclass(frozen=True)
+class Clip:
+    """A clip of acted emotional German speech: audio (S,) float32 at 16 kHz, (end in seconds, label) phones."""
+
+    name: str
+    speaker: str
+    emotion: str
+    text: str
+    audio: Array
+    phones: tuple[tuple[float, str], ...]
+
+
 def unpack_deltas(packed: npt.NDArray[np.uint8], step: float) -> Array:
     """Undoes the packing of `scripts/pack_assets.py`: (2, K, 3, V) bytes to (K, V, 3) deltas."""
     zigzag = packed[0].astype(np.int32) | (packed[1].astype(np.int32) << 8)
@@ -97,7 +111,9 @@ def load_face_model() -> FaceModel:
     return model
 
 
-def triangulate(quads: npt.NDArray[np.int32], other_diagonal: bool = False) -> npt.NDArray[np.int32]:
+def triangulate(
+    quads: npt.NDArray[np.int32], other_diagonal: bool = False
+) -> npt.NDArray[np.int32]:
     """Splits quads (F, 4), -1 last in triangles, along 0-2 or, with `other_diagonal`, along 1-3."""
     is_quad = quads[:, 3] >= 0
     a, b, c, d = quads[is_quad].T
@@ -158,6 +174,28 @@ def load_expression_take() -> tuple[Array, tuple[str, ...], float]:
     with np.load(ASSETS / "livelinkface_rom" / "rom.npz") as data:
         names = tuple(str(n) for n in data["names"])
         return data["weights"].astype(np.float32) / np.float32(65535), names, float(data["fps"])
+
+
+@lru_cache(maxsize=1)
+def load_clips() -> tuple[Clip, ...]:
+    """Clips of the Berlin Database of Emotional Speech (CC0) with narrow phone labels; eight speakers."""
+    folder = ASSETS / "emodb"
+    index = json.loads((folder / "index.json").read_text(encoding="utf-8"))
+    audio = {
+        speaker: sf.read(folder / f"{speaker}.flac", dtype="float32")[0]
+        for speaker in sorted({entry["speaker"] for entry in index})
+    }
+    return tuple(
+        Clip(
+            name=entry["clip"],
+            speaker=entry["speaker"],
+            emotion=entry["emotion"],
+            text=entry["text"],
+            audio=audio[entry["speaker"]][entry["start"] : entry["start"] + entry["samples"]],
+            phones=tuple((float(end), str(label)) for end, label in entry["phones"]),
+        )
+        for entry in index
+    )
 
 
 def speech_clip() -> Path:

@@ -173,14 +173,14 @@ def _sequence_entries(
                 "id": job.id,
                 "split": job.split,
                 "source": job.source,
-                "take": job.take or None,
+                "take": job.take or "+".join(job.clips) or None,
                 "audio": job.audio,
                 "start_frame": start,
                 "num_frames": len(item.weights),
                 "emotion": job.emotion,
                 "intensity": job.intensity,
                 "identity": int(rng.choice(by_split[job.split])),
-                "voice": voice_id(job.voice),
+                "voice": voice_id(job),
                 "text": job.text,
             }
         )

@@ -65,7 +65,12 @@ def arkit_weights(model: FaceModel, curves: Array, names: Iterable[str]) -> Arra
 def mirrored(model: FaceModel, weights: Array) -> Array:
     """Left and right exchanged."""
     swap = {"_L": "_R", "_R": "_L"}
-    whole = {"jawLeft": "jawRight", "jawRight": "jawLeft", "mouthLeft": "mouthRight", "mouthRight": "mouthLeft"}
+    whole = {
+        "jawLeft": "jawRight",
+        "jawRight": "jawLeft",
+        "mouthLeft": "mouthRight",
+        "mouthRight": "mouthLeft",
+    }
     order = []
     for name in model.expression_names:
         other = whole.get(name, name[:-2] + swap.get(name[-2:], name[-2:]))

@@ -22,20 +22,19 @@ LEVELS = {1: 0.42, 2: 0.70, 3: 1.0}
 POSES: dict[str, dict[str, float]] = {
     "neutral": {},
     "afraid": {"browInnerUp": 0.95, "browDown": 0.25, "eyeWide": 1.0, "mouthStretch": 0.40, "mouthFrown": 0.10},
-    "ashamed": {"eyeLookDown": 1.0, "eyeBlink": 0.15, "browInnerUp": 0.55, "mouthFrown": 0.25, "mouthPress": 0.25,
+    "ashamed": {"eyeLookDown": 0.9, "eyeBlink": 0.05, "browInnerUp": 0.55, "mouthFrown": 0.25, "mouthPress": 0.25,
                 "mouthRollLower": 0.12},
     "angry": {"browDown": 1.0, "eyeWide": 0.40, "noseSneer": 0.25, "mouthPress": 0.30, "mouthFrown": 0.25},
-    "disgust": {"noseSneer": 0.85, "browDown": 0.50, "eyeSquint": 0.70, "cheekRaiser": 0.50, "mouthUpperUp": 0.15,
-                "mouthFrown": 0.25},
+    "disgust": {"noseSneer": 0.60, "browDown": 0.45, "eyeSquint": 0.80, "cheekRaiser": 0.60, "mouthFrown": 0.25},
     "happy": {"cheekRaiser": 0.75, "cheekSquint": 0.70, "eyeSquint": 0.80, "browOuterUp": 0.20, "browInnerUp": 0.15,
               "mouthSmile": 0.60, "mouthDimple": 0.10},
-    "sad": {"browInnerUp": 1.0, "eyeBlink": 0.25, "mouthFrown": 0.55, "mouthShrugLower": 0.08},
+    "sad": {"browInnerUp": 1.0, "eyeBlink": 0.20, "mouthFrown": 0.55, "mouthShrugLower": 0.08},
     "drunk": {"eyeBlink": 0.42, "browOuterUp": 0.70, "browInnerUp": 0.35, "mouthSmile_L": 0.22, "cheekPuff": 0.06},
-    "ill": {"eyeBlink": 0.34, "browDown": 0.55, "browInnerUp": 0.40, "cheekSquint": 0.25, "noseSneer": 0.12,
+    "ill": {"eyeBlink": 0.50, "browDown": 0.70, "browInnerUp": 0.45, "cheekSquint": 0.30, "noseSneer": 0.12,
             "mouthFrown": 0.30},
     "suspicious": {"eyeSquint": 1.0, "eyeBlink": 0.22, "browDown_L": 0.95, "browDown_R": 0.30, "browOuterUp_R": 0.80,
                    "mouthPress": 0.20, "mouthLeft": 0.10},
-    "pleased": {"browOuterUp": 0.55, "browInnerUp": 0.45, "cheekSquint": 0.45, "eyeBlink": 0.12, "mouthSmile": 0.40},
+    "pleased": {"browOuterUp": 0.15, "cheekSquint": 0.60, "eyeBlink": 0.50, "mouthSmile": 0.40},
     "upset": {"browInnerUp": 0.75, "browDown": 0.85, "eyeSquint": 0.25, "cheekRaiser": 0.20, "mouthFrown": 0.50,
               "mouthShrugLower": 0.08},
     "surprise": {"browInnerUp": 1.0, "browOuterUp": 1.0, "eyeWide": 0.65},
@@ -68,7 +67,9 @@ def pose(model: FaceModel, emotion: str) -> Array:
     return weights
 
 
-def smooth_noise(rng: np.random.Generator, num_frames: int, period_s: float, fps: float) -> np.ndarray:
+def smooth_noise(
+    rng: np.random.Generator, num_frames: int, period_s: float, fps: float
+) -> np.ndarray:
     """(T,) slow noise in about [-1, 1]: four sinusoids around a period with random phases."""
     t = np.arange(num_frames) / fps
     periods = period_s * rng.uniform(0.6, 1.8, 4)

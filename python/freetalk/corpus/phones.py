@@ -1,7 +1,9 @@
-"""Phones of espeak-ng and flite as ARPABET without stress (AX is schwa, sil a pause).
+"""Phones of espeak-ng, flite and Emo-DB as ARPABET without stress (AX is schwa, sil a pause).
 
 flite speaks ARPABET in lower case (`pau` is a pause). espeak-ng's mnemonics are mapped by the table below; a mnemonic that
-stands for two ARPABET phones (a rhotic diphthong, a syllabic l) is divided in two at the middle.
+stands for two ARPABET phones (a rhotic diphthong, a syllabic l) is divided in two at the middle. Emo-DB's narrow German labels are
+mapped to the ARPABET phone whose lips look most alike (front rounded vowels to UW, UH and ER); a stop's release, `!p` or
+`pasp`, is HH: the lips are no longer closed.
 """
 
 from __future__ import annotations
@@ -21,6 +23,15 @@ ESPEAK_TO_ARPABET: dict[str, tuple[str, ...]] = {
     "s": ("S",), "z": ("Z",), "S": ("SH",), "Z": ("ZH",), "tS": ("CH",), "dZ": ("JH",), "k": ("K",), "g": ("G",),
     "N": ("NG",), "h": ("HH",), "x": ("HH",), "?": ("HH",), "r": ("R",), "r-": ("R",), "r#": ("R",), "j": ("Y",),
     ";": ("Y",), "w": ("W",), "w#": ("W",), "_": ("sil",), "_:": ("sil",), "_|": ("sil",), "_!": ("sil",), "": ("sil",),
+}  # fmt: skip
+
+EMODB_TO_ARPABET: dict[str, str] = {
+    "i": "IY", "I": "IH", "e": "EY", "E": "EH", "a": "AA", "A": "AA", "o": "OW", "O": "AO", "u": "UW", "U": "UH", "y": "UW",
+    "Y": "UH", "2": "UH", "9": "ER", "@": "AX", "6": "AX", "4": "AX", "aI": "AY", "aU": "AW", "AU": "AW", "aO": "AW",
+    "ao": "AW", "AO": "AW", "OY": "OY", "OU": "OW", "i6": "IY", "I6": "IH", "E6": "EH", "a6": "AA", "Y6": "UH", "p": "P",
+    "b": "B", "m": "M", "B": "W", "f": "F", "v": "V", "V": "V", "t": "T", "d": "D", "n": "N", "l": "L", "L": "L", "s": "S",
+    "z": "Z", "S": "SH", "C": "Y", "j": "Y", "k": "K", "g": "G", "G": "G", "N": "NG", "NN": "NG", "x": "HH", "X": "HH",
+    "h": "HH", "H": "HH", "R": "HH", "D": "DH", "?": "HH", ".": "sil", "(": "sil", "(gef": "sil", "": "sil",
 }  # fmt: skip
 
 ARPABET = frozenset(phone for phones in ESPEAK_TO_ARPABET.values() for phone in phones)
@@ -50,6 +61,14 @@ def flite_label(name: str) -> str:
     """ARPABET of a flite segment name."""
     label = name.upper()
     return label if label in ARPABET else "sil"
+
+
+def emodb_label(label: str) -> str:
+    """ARPABET of an Emo-DB label: `_p` is the closure of p, `!p` and `pasp` its release."""
+    if label.startswith("!") or label.endswith("asp"):
+        return "HH"
+    label = label.removeprefix("_")
+    return EMODB_TO_ARPABET.get(label, EMODB_TO_ARPABET.get(label[:1], "AX"))
 
 
 def merge(phones: list[Phone]) -> list[Phone]:

@@ -11,7 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from freetalk.corpus import emotion, speech
-from freetalk.corpus.assets import TEST_TAKES, TRAIN_TAKES, load_expression_take, load_take
+from freetalk.corpus.assets import (
+    SPEAKERS,
+    TEST_TAKES,
+    TRAIN_TAKES,
+    load_clips,
+    load_expression_take,
+    load_take,
+)
 from freetalk.corpus.sequences import FPS, SAMPLES_PER_FRAME, Job
 from freetalk.corpus.text import sentences
 
@@ -26,6 +33,8 @@ class Size:
     synthetic: tuple[int, int, int]
     facegood_variants: int
     facegood_limit: int | None
+    emodb_variants: int
+    emodb_limit: int | None
     rom_captured: int | None
     rom_combined: tuple[int, int, int]
     rest: tuple[int, int, int]
@@ -33,14 +42,18 @@ class Size:
 
 
 SIZES = {
-    "tiny": Size((7, 2, 3), 1, 1, 1, (1, 1, 1), (1, 1, 1), (6, 2, 2)),
-    "small": Size((1000, 50, 80), 2, None, None, (52, 4, 4), (32, 2, 4), (80, 8, 12)),
-    "full": Size((4000, 150, 240), 5, None, None, (200, 12, 12), (80, 6, 8), (200, 16, 24)),
+    "tiny": Size((7, 2, 3), 1, 1, 1, 1, 1, (1, 1, 1), (1, 1, 1), (6, 2, 2)),
+    "small": Size((1000, 50, 80), 2, None, 2, None, None, (52, 4, 4), (32, 2, 4), (80, 8, 12)),
+    "full": Size(
+        (4000, 150, 240), 5, None, 4, None, None, (200, 12, 12), (80, 6, 8), (200, 16, 24)
+    ),
 }
 SPLITS = ("train", "val", "test")
 
 
-def draw_emotion(rng: np.random.Generator, neutral_share: float = NEUTRAL_SHARE) -> tuple[str, float]:
+def draw_emotion(
+    rng: np.random.Generator, neutral_share: float = NEUTRAL_SHARE
+) -> tuple[str, float]:
     """A label and level: neutral with its share, else uniform over labels and levels."""
     if rng.random() < neutral_share:
         return "neutral", 1.0
@@ -55,7 +68,11 @@ def draw_voice(rng: np.random.Generator, split: str, label: str, intensity: floa
     pitch = (1 + share * (pitch - 1)) * rng.uniform(0.6, 1.4)
     flite = {"train": tuple(v for v in speech.FLITE_VOICES if v not in speech.TEST_FLITE), "val": (),
              "test": speech.TEST_FLITE}[split]  # fmt: skip
-    variants = {"train": speech.ESPEAK_VARIANTS, "val": speech.VAL_VARIANTS, "test": speech.TEST_VARIANTS}
+    variants = {
+        "train": speech.ESPEAK_VARIANTS,
+        "val": speech.VAL_VARIANTS,
+        "test": speech.TEST_VARIANTS,
+    }
     if flite and rng.random() < 0.35:
         return speech.Voice("flite", str(rng.choice(flite)), rate, pitch)
     name = f"{rng.choice(speech.ESPEAK_BASES)}+{rng.choice(variants[split])}"
@@ -84,7 +101,9 @@ def cut_at_pauses(take: str, start: int, stop: int) -> list[tuple[int, int]]:
     """Cuts frames [start, stop) of a take into pieces of 4 to 8 s at their quietest moments."""
     audio = load_take(take).audio
     edges = (np.arange(stop + 1) * SAMPLES_PER_FRAME).astype(int)
-    energy = np.array([np.square(audio[a:b]).mean() for a, b in zip(edges[:-1], edges[1:], strict=True)])
+    energy = np.array(
+        [np.square(audio[a:b]).mean() for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    )
     energy = np.convolve(energy, np.full(5, 0.2), mode="same")
     longest, shortest = int(MAX_SECONDS * FPS), int(4 * FPS)
     pieces = []
@@ -113,6 +132,41 @@ def facegood_jobs(size: Size, seed: int) -> Iterator[Job]:
                         f"facegood_{take}_{split}_{i:03d}_{variant}", split, "facegood",
                         (seed, 2, number, first, variant), take=take, start_frame=first, num_frames=last - first,
                         emotion=label, intensity=intensity, audio=audio, writes_audio=variant == 0,
+                    )  # fmt: skip
+
+
+EMODB_EMOTIONS = {
+    "anger": "angry", "boredom": "neutral", "disgust": "disgust", "fear": "afraid", "happiness": "happy", "neutral": "neutral",
+    "sadness": "sad",
+}  # fmt: skip
+"""Acted emotion -> label; boredom has none and counts as neutral."""
+
+
+def emodb_jobs(size: Size, seed: int) -> Iterator[Job]:
+    """Acted emotional speech, two to four clips of a speaker and emotion a sequence.
+
+    The first variant shows the emotion that is heard, at level 2 or 3; the others lay another one over the same voice.
+    """
+    for which, split in enumerate(SPLITS):
+        groups: dict[tuple[str, str], list[str]] = {}
+        for clip in load_clips():
+            if clip.speaker in SPEAKERS[split]:
+                groups.setdefault((clip.speaker, clip.emotion), []).append(clip.name)
+        for number, ((speaker, acted), names) in enumerate(
+            sorted(groups.items())[: size.emodb_limit]
+        ):
+            for variant in range(size.emodb_variants):
+                rng = np.random.default_rng([seed, 6, which, number, variant])
+                order = [str(name) for name in rng.permutation(names)]
+                for first in range(0, len(order), 3):
+                    label, intensity = EMODB_EMOTIONS[acted], float(rng.integers(2, 4))
+                    if variant:
+                        label, intensity = draw_emotion(rng)
+                    name = f"emodb_{split}_{number:03d}_{variant}_{first}"
+                    yield Job(
+                        name, split, "emodb", (seed, 6, which, number, variant, first),
+                        emotion=label, intensity=1.0 if label == "neutral" else intensity,
+                        clips=tuple(order[first : first + 3]), speaker=speaker, audio=f"audio/{name}.flac",
                     )  # fmt: skip
 
 
@@ -157,7 +211,7 @@ def all_jobs(size: Size, seed: int) -> list[Job]:
     """Every sequence of a corpus, in the order of its arrays."""
     jobs = [
         job
-        for make in (synthetic_jobs, facegood_jobs, rom_jobs, rest_jobs)
+        for make in (synthetic_jobs, facegood_jobs, emodb_jobs, rom_jobs, rest_jobs)
         for job in make(size, seed)
     ]
     said = {split: {j.text for j in jobs if j.text and j.split == split} for split in SPLITS}

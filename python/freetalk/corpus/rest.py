@@ -29,7 +29,9 @@ def blink_track(rng: np.random.Generator, num_frames: int, fps: float = 30.0) ->
     return track
 
 
-def add_blinks(model: FaceModel, weights: Array, rng: np.random.Generator, fps: float = 30.0) -> Array:
+def add_blinks(
+    model: FaceModel, weights: Array, rng: np.random.Generator, fps: float = 30.0
+) -> Array:
     """Adds blinks to weights (T, E); wide-open or squinting lids give way while the eye is shut."""
     blink = blink_track(rng, len(weights), fps).astype(np.float32)
     result = weights.copy()

@@ -9,9 +9,17 @@ import numpy as np
 import soundfile as sf
 
 from freetalk.corpus import curves, emotion, rest, speech, visemes
-from freetalk.corpus.assets import Array, FaceModel, Take, load_face_model
+from freetalk.corpus.assets import (
+    Array,
+    FaceModel,
+    Take,
+    load_clips,
+    load_expression_take,
+    load_face_model,
+    load_take,
+)
 from freetalk.corpus.lips import Lips
-from freetalk.corpus.phones import Phone
+from freetalk.corpus.phones import Phone, emodb_label, merge
 
 FPS = 30
 SAMPLE_RATE_HZ = 16000
@@ -35,6 +43,8 @@ class Job:
     text: str | None = None
     audio: str | None = None
     writes_audio: bool = True
+    clips: tuple[str, ...] = ()
+    speaker: str | None = None
 
 
 @dataclass(frozen=True)
@@ -46,9 +56,11 @@ class Made:
     phones: list[Phone] = field(default_factory=list)
 
 
-def voice_id(voice: speech.Voice | None) -> str | None:
-    """Name of a voice in the manifest."""
-    return None if voice is None else f"{voice.engine}:{voice.name}"
+def voice_id(job: Job) -> str | None:
+    """Name of a sequence's voice in the manifest."""
+    if job.voice is not None:
+        return f"{job.voice.engine}:{job.voice.name}"
+    return f"emodb:{job.speaker}" if job.speaker else None
 
 
 def loudness_factor(audio: Array, num_frames: int) -> np.ndarray:
@@ -95,8 +107,14 @@ class Maker:
     def make(self, job: Job) -> Made:
         """Weights and phones of a job; writes its audio file."""
         rng = np.random.default_rng(job.seed)
-        maker = {"synthetic": self._synthetic, "facegood": self._facegood, "rom": self._rom, "rest": self._rest}
-        made = maker[job.source](job, rng)
+        makers = {
+            "synthetic": self._synthetic,
+            "facegood": self._facegood,
+            "emodb": self._emodb,
+            "rom": self._rom,
+            "rest": self._rest,
+        }
+        made = makers[job.source](job, rng)
         return replace(made, weights=np.clip(made.weights, 0, 1).astype(np.float32))
 
     def _write(self, job: Job, audio: Array) -> None:
@@ -116,13 +134,37 @@ class Maker:
         if job.voice is None or job.text is None:
             raise ValueError(f"sequence {job.id} has no voice or no text")
         audio, phones = speech.speak(job.text, job.voice)
+        return self._spoken(job, audio, phones, rng)
+
+    def _emodb(self, job: Job, rng: np.random.Generator) -> Made:
+        """Real emotional clips of one speaker, joined with short pauses, moved by their phone labels."""
+        clips = {clip.name: clip for clip in load_clips()}
+        pieces: list[Array] = []
+        phones: list[Phone] = []
+        at = 0.0
+        for name in job.clips:
+            clip, start = clips[name], 0.0
+            length = len(clip.audio) / SAMPLE_RATE_HZ
+            for end, label in clip.phones:
+                end = min(end, length)
+                phones.append(Phone(at + start, at + end, emodb_label(label)))
+                start = end
+            pause = rng.uniform(0.15, 0.35)
+            phones.append(Phone(at + start, at + length + pause, "sil"))
+            pieces += [clip.audio, np.zeros(int(pause * SAMPLE_RATE_HZ), np.float32)]
+            at += (len(pieces[-2]) + len(pieces[-1])) / SAMPLE_RATE_HZ
+        return self._spoken(job, np.concatenate(pieces), merge(phones), rng)
+
+    def _spoken(
+        self, job: Job, audio: Array, phones: list[Phone], rng: np.random.Generator
+    ) -> Made:
+        """Motion of a voice with phone timings; adds a pause before and after."""
         lead, trail = rng.uniform(0.08, 0.45), rng.uniform(0.15, 0.50)
-        pad = [int(s * SAMPLE_RATE_HZ) for s in (lead, trail)]
-        audio = np.pad(audio, pad)
+        audio = np.pad(audio, [int(s * SAMPLE_RATE_HZ) for s in (lead, trail)])
         duration = len(audio) / SAMPLE_RATE_HZ
         shifted = [Phone(p.start_s + lead, p.end_s + lead, p.label) for p in phones]
-        shifted = [Phone(0.0, shifted[0].start_s, "sil"), *shifted]
-        shifted.append(Phone(shifted[-1].end_s, duration, "sil"))
+        edges = [Phone(0.0, shifted[0].start_s, "sil")], [Phone(shifted[-1].end_s, duration, "sil")]
+        shifted = merge([*edges[0], *shifted, *edges[1]])
         num_frames = int(duration * FPS)
         audio = fit_audio(audio, num_frames)
         style = visemes.SpeakingStyle(
@@ -135,12 +177,11 @@ class Maker:
         weights = visemes.speech_weights(
             self.model, self.lips, shifted, num_frames, loudness, style
         )
-        self._write(job, recorded(audio, rng))
+        if job.writes_audio:
+            self._write(job, recorded(audio, rng))
         return Made(job, self._finish(job, weights, rng), shifted)
 
     def _take(self, name: str) -> tuple[Take, Array]:
-        from freetalk.corpus.assets import load_take
-
         if name not in self._takes:
             take = load_take(name)
             self._takes[name] = (take, curves.facegood_weights(self.model, self.lips, take))
@@ -155,8 +196,6 @@ class Maker:
 
     def _rom(self, job: Job, rng: np.random.Generator) -> Made:
         if job.take:
-            from freetalk.corpus.assets import load_expression_take
-
             values, names, _ = load_expression_take()
             stop = job.start_frame + job.num_frames
             weights = curves.arkit_weights(self.model, values[job.start_frame : stop], names)

@@ -131,7 +131,9 @@ def carry_from_groups(
 
 def drop_unused(faces: Faces, carry: sp.csr_matrix) -> Meshing:
     """Drops faces with repeated corners and vertices that no face uses."""
-    distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    distinct = (
+        (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    )
     used, inverse = np.unique(faces[distinct], return_inverse=True)
     return Meshing(inverse.reshape(-1, 3).astype(np.int32), carry[used].tocsr())
 
@@ -176,7 +178,11 @@ def remesh(model: FaceModel, base: Meshing, vertices: int) -> Meshing:
 def faces_of_clusters(group: npt.NDArray[np.int64], faces: Faces) -> Faces:
     """One triangle for every set of three clusters that meet in a source triangle."""
     corner = group[faces].astype(np.int32)
-    distinct = (corner[:, 0] != corner[:, 1]) & (corner[:, 1] != corner[:, 2]) & (corner[:, 2] != corner[:, 0])
+    distinct = (
+        (corner[:, 0] != corner[:, 1])
+        & (corner[:, 1] != corner[:, 2])
+        & (corner[:, 2] != corner[:, 0])
+    )
     corner = corner[distinct]
     _, first = np.unique(np.sort(corner, axis=1), axis=0, return_index=True)
     return corner[np.sort(first)]
@@ -200,7 +206,13 @@ def subdivide(base: Meshing) -> Meshing:
 
 
 def damage(
-    model: FaceModel, base: Meshing, holes: int, radius_m: float, noise_m: float, torn: int, seed: int
+    model: FaceModel,
+    base: Meshing,
+    holes: int,
+    radius_m: float,
+    noise_m: float,
+    torn: int,
+    seed: int,
 ) -> Meshing:
     """Cuts round holes, tears edges open along random cuts and adds noise to the neutral.
 
@@ -247,63 +259,94 @@ def _narrow(model: FaceModel) -> Meshing:
 
 TOPOLOGIES: tuple[TopologySpec, ...] = (
     TopologySpec(
-        "face_dec2500", "train", "face, decimated to about 2,500 vertices",
+        "face_dec2500",
+        "train",
+        "face, decimated to about 2,500 vertices",
         lambda m: decimate(m, crop(m, "face"), 2500),
     ),
     TopologySpec(
-        "narrow_dec1500", "train", "narrow face, decimated to about 1,500 vertices",
+        "narrow_dec1500",
+        "train",
+        "narrow face, decimated to about 1,500 vertices",
         lambda m: decimate(m, _narrow(m), 1500),
     ),
     TopologySpec(
-        "head_dec2000", "train", "face, head and neck, decimated to about 2,000 vertices",
+        "head_dec2000",
+        "train",
+        "face, head and neck, decimated to about 2,000 vertices",
         lambda m: decimate(m, crop(m, "head"), 2000),
     ),
     TopologySpec(
-        "sockets_dec3000", "train", "head with mouth and eye sockets, decimated to about 3,000 vertices",
+        "sockets_dec3000",
+        "train",
+        "head with mouth and eye sockets, decimated to about 3,000 vertices",
         lambda m: decimate(m, crop(m, "sockets"), 3000),
     ),
     TopologySpec(
-        "face_dec1200", "train", "face split along the other diagonal, decimated to about 1,200 vertices",
+        "face_dec1200",
+        "train",
+        "face split along the other diagonal, decimated to about 1,200 vertices",
         lambda m: decimate(m, crop(m, "face", True), 1200),
     ),
     TopologySpec(
-        "narrow_iso2000", "train", "narrow face, isotropic remeshing, about 2,000 vertices",
+        "narrow_iso2000",
+        "train",
+        "narrow face, isotropic remeshing, about 2,000 vertices",
         lambda m: remesh(m, _narrow(m), 2000),
     ),
     TopologySpec(
-        "head_iso3000", "train", "face, head and neck, isotropic remeshing, about 3,000 vertices",
+        "head_iso3000",
+        "train",
+        "face, head and neck, isotropic remeshing, about 3,000 vertices",
         lambda m: remesh(m, crop(m, "head"), 3000),
     ),
     TopologySpec(
-        "face_sub3500", "train", "face decimated to about 900 vertices, each triangle split in four",
+        "face_sub3500",
+        "train",
+        "face decimated to about 900 vertices, each triangle split in four",
         lambda m: subdivide(decimate(m, crop(m, "face"), 900)),
     ),
     TopologySpec(
-        "narrow_torn2500", "train", "narrow face, about 2,500 vertices, holes, tears and 0.2 mm noise",
+        "narrow_torn2500",
+        "train",
+        "narrow face, about 2,500 vertices, holes, tears and 0.2 mm noise",
         lambda m: damage(m, decimate(m, _narrow(m), 2500), 6, 0.012, 2e-4, 40, 11),
     ),
     TopologySpec("narrow", "train", "narrow face, original vertices, quads split 0-2", _narrow),
     TopologySpec(
-        "sockets_dec5000", "val", "head with sockets, decimated to about 5,000 vertices",
+        "sockets_dec5000",
+        "val",
+        "head with sockets, decimated to about 5,000 vertices",
         lambda m: decimate(m, crop(m, "sockets", True), 5000),
     ),
     TopologySpec(
-        "face_iso2500", "val", "face, isotropic remeshing, about 2,500 vertices",
+        "face_iso2500",
+        "val",
+        "face, isotropic remeshing, about 2,500 vertices",
         lambda m: remesh(m, crop(m, "face"), 2500),
     ),
     TopologySpec(
-        "face", "test", "face, original 9,409 vertices, quads split 1-3", lambda m: crop(m, "face", True)
+        "face",
+        "test",
+        "face, original 9,409 vertices, quads split 1-3",
+        lambda m: crop(m, "face", True),
     ),
     TopologySpec(
-        "face_iso5000", "test", "face, isotropic remeshing, about 5,000 vertices",
+        "face_iso5000",
+        "test",
+        "face, isotropic remeshing, about 5,000 vertices",
         lambda m: remesh(m, crop(m, "face", True), 5000),
     ),
     TopologySpec(
-        "head_holes4000", "test", "face, head and neck, about 4,000 vertices with holes and 0.3 mm noise",
+        "head_holes4000",
+        "test",
+        "face, head and neck, about 4,000 vertices with holes and 0.3 mm noise",
         lambda m: damage(m, decimate(m, crop(m, "head", True), 4000), 10, 0.012, 3e-4, 60, 23),
     ),
     TopologySpec(
-        "sockets", "test", "head with sockets, original 14,062 vertices, quads split along the shorter diagonal",
+        "sockets",
+        "test",
+        "head with sockets, original 14,062 vertices, quads split along the shorter diagonal",
         lambda m: short_diagonals(m, "sockets"),
     ),
 )

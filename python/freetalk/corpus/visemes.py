@@ -31,7 +31,14 @@ ARTICULATORS: dict[str, tuple[str, ...]] = {
     "shrug": ("mouthShrugUpper",),
     "forward": ("jawForward",),
 }
-TAU_S = {"jaw": 0.055, "funnel": 0.075, "pucker": 0.080, "stretch": 0.065, "smile": 0.070, "forward": 0.07}
+TAU_S = {
+    "jaw": 0.055,
+    "funnel": 0.075,
+    "pucker": 0.080,
+    "stretch": 0.065,
+    "smile": 0.070,
+    "forward": 0.07,
+}
 DEFAULT_TAU_S = 0.045
 
 TARGETS: dict[str, dict[str, float]] = {
@@ -39,12 +46,12 @@ TARGETS: dict[str, dict[str, float]] = {
     "P": {"jaw": 0.05, "press": 0.30, "roll_lower": 0.06},
     "F": {"jaw": 0.05, "roll_lower": 0.27, "upper": 0.22},
     "TH": {"jaw": 0.13, "lower": 0.18, "upper": 0.06, "stretch": 0.05},
-    "T": {"jaw": 0.11, "lower": 0.14, "upper": 0.05},
+    "T": {"jaw": 0.09, "lower": 0.14, "upper": 0.05},
     "L": {"jaw": 0.17, "lower": 0.12, "upper": 0.04},
-    "K": {"jaw": 0.16, "lower": 0.10},
+    "K": {"jaw": 0.13, "lower": 0.10},
     "HH": {"jaw": 0.17},
     "S": {"jaw": 0.055, "lower": 0.22, "upper": 0.12, "stretch": 0.22, "forward": 0.10},
-    "SH": {"jaw": 0.05, "funnel": 0.32, "pucker": 0.22, "lower": 0.06, "forward": 0.15},
+    "SH": {"jaw": 0.04, "funnel": 0.30, "pucker": 0.34, "lower": 0.06, "forward": 0.15},
     "R": {"jaw": 0.11, "funnel": 0.20, "pucker": 0.30},
     "W": {"jaw": 0.05, "pucker": 0.80, "funnel": 0.06},
     "Y": {"jaw": 0.08, "lower": 0.14, "smile": 0.18, "stretch": 0.10},
@@ -57,9 +64,9 @@ TARGETS: dict[str, dict[str, float]] = {
     "AX": {"jaw": 0.19, "lower": 0.07},
     "ER": {"jaw": 0.16, "funnel": 0.22, "pucker": 0.26},
     "AO": {"jaw": 0.34, "funnel": 0.30, "pucker": 0.22},
-    "OW": {"jaw": 0.21, "funnel": 0.26, "pucker": 0.42},
+    "OW": {"jaw": 0.20, "funnel": 0.24, "pucker": 0.52},
     "UH": {"jaw": 0.15, "funnel": 0.18, "pucker": 0.36},
-    "UW": {"jaw": 0.08, "funnel": 0.12, "pucker": 0.72},
+    "UW": {"jaw": 0.06, "funnel": 0.10, "pucker": 0.85},
 }
 SAME_AS = {
     "B": "P", "M": "P", "V": "F", "DH": "TH", "D": "T", "N": "T", "G": "K", "NG": "K", "Z": "S",
@@ -120,15 +127,19 @@ def dominance_strength(segment: _Segment, articulator: str) -> float:
     if viseme == "sil":
         return 0.25 if segment.end_s - segment.start_s < 0.15 else 1.2
     if articulator in ("funnel", "pucker"):
-        return 1.4 if viseme in ROUNDED else (0.7 if viseme in VOWELS else 0.25)
+        return 2.2 if viseme in ROUNDED else (0.7 if viseme in VOWELS else 0.25)
     if articulator == "jaw":
-        return {"P": 1.3, "F": 1.4, "S": 1.6, "SH": 1.5}.get(viseme, 1.2 if viseme in VOWELS else 0.6)
+        return {"P": 1.3, "F": 1.4, "S": 2.0, "SH": 2.2, "T": 0.8, "UW": 1.8, "W": 1.8}.get(
+            viseme, 1.3 if viseme in VOWELS else 0.7
+        )
     if articulator in ("smile", "stretch"):
         return 1.0 if viseme in VOWELS or viseme in ("S", "Y") or viseme in ROUNDED else 0.4
     return 0.9 if viseme not in ("K", "HH") else 0.3
 
 
-def blend(parts: list[_Segment], times: np.ndarray, scale: np.ndarray, style: SpeakingStyle) -> np.ndarray:
+def blend(
+    parts: list[_Segment], times: np.ndarray, scale: np.ndarray, style: SpeakingStyle
+) -> np.ndarray:
     """Dominance-weighted articulator tracks (T, P); `scale` (S,) is the loudness factor of each segment."""
     start = np.array([p.start_s for p in parts])
     end = np.array([p.end_s for p in parts])
@@ -188,7 +199,9 @@ def speech_weights(
     closed = activation(phones, BILABIALS, times)[:, None]
     for pose, amount in (("F", teeth * (1 - closed)), ("P", closed)):
         target = np.array([TARGETS[pose].get(name, 0.0) for name in names])
-        kept = np.array([0.55 if name in ("pucker", "funnel", "smile", "stretch") else 0.0 for name in names])
+        kept = np.array(
+            [0.55 if name in ("pucker", "funnel", "smile", "stretch") else 0.0 for name in names]
+        )
         tracks = (1 - amount) * tracks + amount * np.maximum(target, kept * tracks)
     weights = np.zeros((num_frames, len(model.expression_names)), np.float32)
     for column, name in enumerate(names):
