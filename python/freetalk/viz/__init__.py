@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from freetalk.viz.appearance import part_labels
+from freetalk.viz.cavities import boundary_rims
 from freetalk.viz.pictures import (
     contact_sheet,
     landmark_plot,
@@ -11,18 +13,23 @@ from freetalk.viz.pictures import (
 )
 from freetalk.viz.renderer import FaceRenderer, View
 from freetalk.viz.sequence import Sequence, as_sequence
-from freetalk.viz.video import save_video, write_video
+from freetalk.viz.video import check_video_support, save_video, write_video
+from freetalk.viz.viewer import show
 
 __all__ = [
     "FaceRenderer",
     "Sequence",
     "View",
     "as_sequence",
+    "boundary_rims",
+    "check_video_support",
     "contact_sheet",
     "landmark_plot",
+    "part_labels",
     "render_frame",
     "render_frames",
     "save_image",
     "save_video",
+    "show",
     "write_video",
 ]

@@ -68,7 +68,7 @@ def find_cavities(vertices: NDArray[np.float32], faces: NDArray[np.int64]) -> Ca
     found = Cavities(eyes=[], mouth=None)
     parts = part_labels(faces, len(vertices))
     others = [vertices[parts == part].mean(0) for part in range(1, parts.max(initial=0) + 1)]
-    for edges in _rims(faces[parts[faces[:, 0]] == 0], len(vertices)):
+    for edges in boundary_rims(faces[parts[faces[:, 0]] == 0], len(vertices)):
         rim = vertices[np.unique(edges)].astype(np.float64)
         middle, width = rim.mean(0), float(np.ptp(rim[:, 0]))
         mirrored = np.array([abs(middle[0]), middle[1], middle[2]])
@@ -93,8 +93,16 @@ def _inside(point: NDArray[np.float64], box: NDArray[np.float64]) -> bool:
     return bool((point >= box[0]).all() and (point <= box[1]).all())
 
 
-def _rims(faces: NDArray[np.int64], num_vertices: int) -> list[NDArray[np.int64]]:
-    """Boundary edges (E, 2) of the mesh, grouped by the rim they belong to."""
+def boundary_rims(faces: NDArray[np.int64], num_vertices: int) -> list[NDArray[np.int64]]:
+    """Edges that only one triangle has, grouped by the rim they belong to.
+
+    Args:
+        faces: (F, 3) triangles.
+        num_vertices: V.
+
+    Returns:
+        (E, 2) edges of each rim.
+    """
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     key = np.sort(edges, axis=1) @ np.array([num_vertices, 1])
     _, first, count = np.unique(key, return_index=True, return_counts=True)
@@ -102,7 +110,7 @@ def _rims(faces: NDArray[np.int64], num_vertices: int) -> list[NDArray[np.int64]
     if len(boundary) == 0:
         return []
     label = connected_labels(boundary, num_vertices)[boundary[:, 0]]
-    return [boundary[label == value] for value in np.unique(label) if (label == value).sum() >= 8]
+    return [boundary[label == value] for value in np.unique(label)]
 
 
 def _fit_eye(rim: NDArray[np.float64], radius: float) -> Eye:

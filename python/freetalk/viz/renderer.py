@@ -79,13 +79,21 @@ class FaceRenderer:
         sequence: The animation; its alignment sets the upright pose.
         size: (width, height) in pixels.
         view: Camera and look.
+        off_screen: Draws without a display; otherwise the caller shows ``plotter``.
+
+    Attributes:
+        plotter: The scene.
 
     Raises:
         RuntimeError: No off-screen OpenGL could be started.
     """
 
     def __init__(
-        self, sequence: Sequence, size: tuple[int, int] = (720, 720), view: View | None = None
+        self,
+        sequence: Sequence,
+        size: tuple[int, int] = (720, 720),
+        view: View | None = None,
+        off_screen: bool = True,
     ) -> None:
         self._sequence = sequence
         self._view = view or View()
@@ -93,26 +101,27 @@ class FaceRenderer:
         self._normals = NormalField(sequence.faces, len(rest))
         with _opengl_messages():
             pyvista = _import_pyvista()
-            self._plotter = pyvista.Plotter(off_screen=True, window_size=list(size))
+            self.plotter = pyvista.Plotter(off_screen=off_screen, window_size=list(size))
             if not self._view.smooth_edges:
-                self._plotter.render_window.SetMultiSamples(0)
+                self.plotter.render_window.SetMultiSamples(0)
             try:
                 self._mesh = self._add_face(rest)
                 self._mouth: Mouth | None = None
                 if sequence.located and self._view.fill_openings:
                     self._fill(find_cavities(rest, sequence.faces), rest)
-                aim_camera(self._plotter, rest, sequence.located, size, self._view)
-                self._start()
+                aim_camera(self.plotter, rest, sequence.located, size, self._view)
+                if off_screen:
+                    self._start()
             except BaseException:
-                self._plotter.close()
+                self.plotter.close()
                 raise
 
     def _start(self) -> None:
         try:
-            self._plotter.show(auto_close=False, interactive=False)
+            self.plotter.show(auto_close=False, interactive=False)
         except Exception as error:
             raise RuntimeError(f"{_NO_OPENGL} ({error})") from error
-        if not self._plotter.render_window.SupportsOpenGL():
+        if not self.plotter.render_window.SupportsOpenGL():
             raise RuntimeError(_NO_OPENGL)
 
     def _add_face(self, rest: Points) -> pyvista.PolyData:
@@ -125,7 +134,7 @@ class FaceRenderer:
         if self._view.occlusion:
             colors = shade_colors(colors, bake_occlusion(mesh))
         mesh.point_data["color"] = colors
-        actor = self._plotter.add_mesh(mesh, scalars="color", rgb=True, **_SKIN_SHADING)
+        actor = self.plotter.add_mesh(mesh, scalars="color", rgb=True, **_SKIN_SHADING)
         actor.prop.interpolation = "Phong"
         actor.backface_prop = pyvista.Property(color=MOUTH_INSIDE, diffuse=0.5, specular=0.0)
         return mesh
@@ -143,13 +152,25 @@ class FaceRenderer:
                 phi_resolution=64,
             )
             ball.point_data["color"] = eye_colors(eye, ball.points)
-            actor = self._plotter.add_mesh(ball, scalars="color", rgb=True, **_EYE_SHADING)
+            actor = self.plotter.add_mesh(ball, scalars="color", rgb=True, **_EYE_SHADING)
             actor.prop.interpolation = "Phong"
         if cavities.mouth is not None:
             self._mouth = cavities.mouth
             fan = pyvista.PolyData.from_regular_faces(self._mouth.points(rest), self._mouth.faces())
             self._mouth_mesh = fan
-            self._plotter.add_mesh(fan, color=MOUTH_DARK, lighting=False)
+            self.plotter.add_mesh(fan, color=MOUTH_DARK, lighting=False)
+
+    def move(self, points: NDArray[Any]) -> None:
+        """Moves the face to (V, 3) ``points`` in the mesh's own unit and axes, in place."""
+        moved = self._sequence.upright(points)
+        self._mesh.points[:] = moved
+        self._mesh.point_data.active_normals[:] = self._normals(moved)
+        self._mesh.GetPoints().Modified()
+        self._mesh.GetPointData().GetNormals().Modified()
+        self._mesh.Modified()
+        if self._mouth is not None:
+            self._mouth_mesh.points[:] = self._mouth.points(moved)
+            self._mouth_mesh.GetPoints().Modified()
 
     def image(self, points: NDArray[Any]) -> Image:
         """Draws the face at (V, 3) ``points`` in the mesh's own unit and axes.
@@ -157,20 +178,13 @@ class FaceRenderer:
         Returns:
             (height, width, 3) uint8.
         """
-        moved: Points = self._sequence.upright(points)
-        self._mesh.points[:] = moved
-        self._mesh.point_data.active_normals[:] = self._normals(moved)
-        self._mesh.GetPoints().Modified()
-        self._mesh.GetPointData().GetNormals().Modified()
-        if self._mouth is not None:
-            self._mouth_mesh.points[:] = self._mouth.points(moved)
-            self._mouth_mesh.GetPoints().Modified()
-        self._plotter.render()
-        return np.ascontiguousarray(self._plotter.screenshot(None, return_img=True)[..., :3])
+        self.move(points)
+        self.plotter.render()
+        return np.ascontiguousarray(self.plotter.screenshot(None, return_img=True)[..., :3])
 
     def close(self) -> None:
         """Frees the window."""
-        self._plotter.close()
+        self.plotter.close()
 
     def __enter__(self) -> FaceRenderer:
         return self
@@ -228,9 +242,23 @@ def _add_lights(plotter: pyvista.Plotter, center: NDArray[np.float64], scale: fl
         plotter.add_light(light)
 
 
+def check_off_screen() -> None:
+    """Draws a point to make sure that pictures can be made here.
+
+    Raises:
+        RuntimeError: No off-screen OpenGL could be started.
+    """
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=np.float32)
+    still = np.zeros((1, 3, 3), dtype=np.float32)
+    faces = np.array([[0, 1, 2]])
+    view = View(occlusion=False, smooth_edges=False)
+    with FaceRenderer(Sequence(corners, faces, still, 1.0), (16, 16), view) as renderer:
+        renderer.image(corners)
+
+
 _NO_OPENGL = (
     "cannot draw: no off-screen OpenGL was found; install Mesa"
-    " (Debian, Ubuntu: apt-get install libegl1 libgl1-mesa-dri libosmesa6)"
+    " (Debian, Ubuntu: apt-get install libgl1 libegl1 libgl1-mesa-dri)"
 )
 
 

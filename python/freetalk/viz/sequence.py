@@ -34,8 +34,8 @@ class Sequence:
     faces: Faces
     displacements: NDArray[np.float32]
     fps: float
-    samples: NDArray[np.float32]
-    sample_rate_hz: int
+    samples: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
+    sample_rate_hz: int = 16000
     upright_matrix: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
     located: bool = False
 

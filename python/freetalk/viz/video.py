@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from freetalk.viz.renderer import FaceRenderer, Image, View
+from freetalk.viz.renderer import FaceRenderer, Image, View, check_off_screen
 from freetalk.viz.sequence import Sequence, as_sequence
 
 MAX_VIDEO_FPS = 60.0
@@ -61,6 +61,16 @@ def save_video(
         shown = _with_progress(frames, count, target.name, progress)
         write_video(target, shown, size, rate, count, sequence.samples, sequence.sample_rate_hz)
     return target
+
+
+def check_video_support() -> None:
+    """Makes sure, before long work, that a video can be rendered and written here.
+
+    Raises:
+        RuntimeError: No OpenGL or no ffmpeg was found; the message says what to install.
+    """
+    _ffmpeg()
+    check_off_screen()
 
 
 def write_video(

@@ -1,0 +1,146 @@
+"""``freetalk animate``: the main job, from a recording and a mesh to files."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from freetalk.cli.outputs import Output, check_readable, parse_outputs
+from freetalk.cli.weights import find_weights
+
+if TYPE_CHECKING:
+    import freetalk
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Animates a mesh; every input and output is checked before the work begins."""
+    outputs = parse_outputs(arguments.out)
+    audio_file = check_readable(arguments.audio, "a recording of speech")
+    mesh_file = None
+    if arguments.mesh is not None:
+        mesh_file = check_readable(arguments.mesh, "a mesh (OBJ, PLY, OFF or STL)")
+    weights = find_weights(arguments.pretrained)
+    if any(output.format == "mp4" for output in outputs):
+        from freetalk.viz import check_video_support
+
+        check_video_support()
+    report = Report(arguments.quiet)
+
+    import freetalk
+
+    audio = freetalk.load_audio(audio_file)
+    mesh = freetalk.load_mesh(mesh_file) if mesh_file is not None else built_in_face()
+    talker = freetalk.Talker.from_pretrained(weights)
+    report.line("loaded", _describe_inputs(audio, mesh, mesh_file))
+    animation = animate(talker, audio, mesh, arguments, report)
+    for output in outputs:
+        write(animation, output, arguments.size, report)
+    report.total()
+
+
+def animate(
+    talker: freetalk.Talker,
+    audio: freetalk.Audio,
+    mesh: freetalk.Mesh,
+    arguments: argparse.Namespace,
+    report: Report,
+) -> freetalk.Animation:
+    """Generates the motion and says what was guessed about the mesh."""
+    options: dict[str, Any] = {
+        name: getattr(arguments, name)
+        for name in ("emotion", "intensity", "fps", "seed", "unit", "up", "forward")
+    }
+    if hasattr(arguments, "steps"):
+        options["num_steps"] = arguments.steps
+    with report.progress() as progress:
+        animation = talker.animate(audio, mesh, **options, progress=progress)
+    metadata = animation.metadata
+    summary = metadata.get("alignment", {}).get("summary", "")
+    if summary:
+        report.line("mesh", summary)
+    for notice in metadata.get("notices", []):
+        report.line("note", notice)
+    frames, duration = animation.num_frames, animation.num_frames / animation.fps
+    text = f"{frames} frames, {duration:.2f} s, {arguments.emotion}, seed {arguments.seed}"
+    report.line("animated", text)
+    return animation
+
+
+def write(
+    animation: freetalk.Animation, output: Output, size: tuple[int, int], report: Report
+) -> None:
+    """Writes one requested result."""
+    if output.format == "mp4":
+        from freetalk.viz import save_video
+
+        save_video(animation, output.path, size=size, progress=not report.quiet)
+    elif output.is_folder:
+        animation.save(output.path / f"*.{output.format}")
+    else:
+        output.path.parent.mkdir(parents=True, exist_ok=True)
+        animation.save(output.path)
+    report.line("wrote", f"{output.path}{'/' if output.is_folder else ''} {_size(output)}")
+
+
+def built_in_face() -> freetalk.Mesh:
+    """The mean face that ships with the package."""
+    import freetalk
+    from freetalk.corpus import mean_face
+
+    vertices, faces = mean_face("face")
+    return freetalk.Mesh(vertices, faces)
+
+
+class Report:
+    """Lines on stdout with the time each step took, unless quiet."""
+
+    def __init__(self, quiet: bool) -> None:
+        self.quiet = quiet
+        self._start = self._last = time.perf_counter()
+
+    def line(self, what: str, text: str) -> None:
+        """Prints a step and the seconds since the step before."""
+        now = time.perf_counter()
+        if not self.quiet:
+            print(f"{what:>9}  {text}  [{now - self._last:.1f} s]", flush=True)
+        self._last = now
+
+    def total(self) -> None:
+        """Prints the time of everything."""
+        if not self.quiet:
+            print(f"{'done':>9}  in {time.perf_counter() - self._start:.1f} s", flush=True)
+
+    def progress(self) -> AbstractContextManager[Any]:
+        """A progress bar as a callback (done, total), or None when quiet."""
+        return nullcontext(None) if self.quiet else ProgressBar()
+
+
+class ProgressBar(AbstractContextManager["ProgressBar"]):
+    """A progress bar on a terminal, called with the work done and the whole work."""
+
+    def __init__(self) -> None:
+        from tqdm import tqdm
+
+        self._bar = tqdm(total=100, desc="animating", unit="%", leave=False, disable=None)
+
+    def __call__(self, done: float, total: float = 1.0) -> None:
+        """Moves the bar to ``done`` of ``total``."""
+        self._bar.update(100 * done / max(total, 1e-12) - self._bar.n)
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.close()
+
+
+def _describe_inputs(audio: freetalk.Audio, mesh: freetalk.Mesh, mesh_file: Path | None) -> str:
+    name = mesh_file.name if mesh_file is not None else "the built-in mean face"
+    seconds = len(audio.samples) / audio.sample_rate_hz
+    return f"{seconds:.2f} s of speech; {name}: {len(mesh.vertices)} vertices"
+
+
+def _size(output: Output) -> str:
+    if output.is_folder:
+        return f"({sum(1 for _ in output.path.glob(f'*.{output.format}'))} files)"
+    return f"({output.path.stat().st_size / 1e6:.1f} MB)"

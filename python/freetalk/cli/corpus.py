@@ -1,0 +1,19 @@
+"""``freetalk corpus``."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+from freetalk.cli.outputs import check_writable
+
+
+def build(arguments: argparse.Namespace) -> None:
+    """Builds the open corpus."""
+    check_writable(Path(arguments.out), is_folder=True)
+    from freetalk.corpus import build_corpus
+
+    start = time.perf_counter()
+    folder = build_corpus(Path(arguments.out), size=arguments.size, seed=arguments.seed)
+    print(f"corpus ({arguments.size}) in {folder}, {time.perf_counter() - start:.1f} s")

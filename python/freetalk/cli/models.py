@@ -1,0 +1,19 @@
+"""``freetalk models``."""
+
+from __future__ import annotations
+
+import argparse
+
+from freetalk.cli.weights import PRETRAINED, describe_weights, installed
+
+
+def list_models(_: argparse.Namespace) -> None:
+    """Lists the installed weights."""
+    folders = list(installed())
+    if not folders:
+        raise ValueError(f"no weights are installed in '{PRETRAINED}': reinstall freetalk")
+    for folder in folders:
+        about = describe_weights(folder)
+        megabytes = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6
+        print(f"{folder.name}: {megabytes:.1f} MB, {about['fps']:g} fps, {folder}")
+        print(f"  emotions: {', '.join(about['emotions'])}")

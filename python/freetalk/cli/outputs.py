@@ -1,0 +1,105 @@
+"""Where results go: understood and tried before any work begins."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+ANIMATION_SUFFIXES = (".glb", ".gltf", ".npz", ".mp4")
+FRAME_SUFFIXES = (".obj", ".ply")
+
+
+@dataclass(frozen=True)
+class Output:
+    """One requested result.
+
+    Attributes:
+        path: The file, or the folder of a mesh a frame.
+        format: ``glb``, ``gltf``, ``npz``, ``mp4``, ``obj`` or ``ply``.
+    """
+
+    path: Path
+    format: str
+
+    @property
+    def is_folder(self) -> bool:
+        """Whether frames are written as single meshes."""
+        return self.format in ("obj", "ply")
+
+
+def parse_output(text: str) -> Output:
+    """Understands one ``--out``.
+
+    Raises:
+        ValueError: The name does not say what to write.
+    """
+    path = Path(text)
+    suffix = path.suffix.lower()
+    if path.stem == "*" and suffix in FRAME_SUFFIXES:
+        return Output(path.parent, suffix[1:])
+    if text.endswith(("/", os.sep)) or (not suffix and path.is_dir()):
+        return Output(path, "obj")
+    if suffix in FRAME_SUFFIXES:
+        raise ValueError(
+            f"'{text}' is one mesh but an animation is many: give a folder, '{path.stem}/*{suffix}'"
+        )
+    if suffix not in ANIMATION_SUFFIXES:
+        known = ", ".join(ANIMATION_SUFFIXES)
+        raise ValueError(
+            f"'{text}' does not say what to write: end it in {known}, or give a folder ('frames/', "
+            "'frames/*.obj', 'frames/*.ply')"
+        )
+    return Output(path, suffix[1:])
+
+
+def parse_outputs(texts: list[str]) -> list[Output]:
+    """Understands every ``--out`` and makes sure that each can be written."""
+    outputs = [parse_output(text) for text in texts]
+    for output in outputs:
+        check_writable(output.path, output.is_folder)
+    if len({output.path.absolute() for output in outputs}) < len(outputs):
+        raise ValueError("the same --out is given twice")
+    return outputs
+
+
+def check_writable(path: Path, is_folder: bool = False) -> None:
+    """Tries whether a file or folder can be made; leaves nothing behind.
+
+    Raises:
+        OSError: It cannot, with one sentence why.
+    """
+    if path.is_dir() and not is_folder:
+        raise OSError(f"cannot write '{path}': it is a folder")
+    folder = path if is_folder else path.parent
+    ancestor = folder.absolute()
+    while not ancestor.exists() and ancestor != ancestor.parent:
+        ancestor = ancestor.parent
+    if not ancestor.is_dir():
+        raise OSError(f"cannot write '{path}': '{ancestor}' is not a folder")
+    try:
+        with tempfile.TemporaryFile(dir=ancestor, prefix=".freetalk_"):
+            pass
+    except OSError as error:
+        raise OSError(f"cannot write '{path}': {error.strerror} in '{ancestor}'") from error
+    if path.is_file() and not os.access(path, os.W_OK):
+        raise OSError(f"cannot write '{path}': the file that is there is protected")
+
+
+def check_readable(path: str, what: str) -> Path:
+    """Makes sure that an input file is there and holds something.
+
+    Raises:
+        OSError: It is missing, a folder, empty or protected.
+    """
+    file = Path(path)
+    if file.is_dir():
+        raise OSError(f"'{path}' is a folder: give {what}")
+    if not file.exists():
+        raise OSError(f"'{path}' does not exist: give {what}")
+    if file.is_file() and file.stat().st_size == 0:
+        raise OSError(f"'{path}' is empty: give {what}")
+    if not os.access(file, os.R_OK):
+        raise OSError(f"'{path}' may not be read: change its permissions or give {what}")
+    return file

@@ -1,0 +1,243 @@
+"""The grammar of the command line. Imports nothing heavy, so that ``--help`` is quick."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from typing import Any, NoReturn
+
+UNITS = ("auto", "m", "cm", "mm", "in")
+AXES = ("auto", "+x", "-x", "+y", "-y", "+z", "-z")
+DEFAULT_WEIGHTS = "open-small"
+
+
+class UsageError(Exception):
+    """Arguments that the command does not understand."""
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that raises instead of leaving the process."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(formatter_class=argparse.ArgumentDefaultsHelpFormatter, **settings)
+
+    def error(self, message: str) -> NoReturn:
+        """Raises :class:`UsageError` with the command's name and where to find help."""
+        raise UsageError(f"{message} (see '{self.prog} --help')")
+
+
+def make_parser() -> Parser:
+    """Builds the whole grammar; each command names its handler as ``module:function``."""
+    parser = Parser(prog="freetalk", description="Speech and a face mesh in, a talking face out.")
+    parser.add_argument("--version", action=_Version, help="print the version and leave")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    _add_animate(commands)
+    _add_train(commands)
+    _add_evaluate(commands)
+    _add_corpus(commands)
+    _add_mesh(commands)
+    _add_speech(commands)
+    _add_view(commands)
+    _add_models(commands)
+    return parser
+
+
+class _Version(argparse.Action):
+    def __init__(self, option_strings: list[str], dest: str, **settings: Any) -> None:
+        super().__init__(option_strings, argparse.SUPPRESS, nargs=0, help=settings.get("help"))
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        import freetalk
+
+        print(f"freetalk {freetalk.__version__}")
+        parser.exit()
+
+
+def positive(text: str) -> float:
+    """A finite number above 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a number above 0")
+    return value
+
+
+def intensity(text: str) -> float:
+    """A number from 1 to 3."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 1 <= value <= 3:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a number from 1 (slight) to 3 (strong)")
+    return value
+
+
+def natural(text: str) -> int:
+    """A whole number above 0."""
+    if not text.isdecimal() or int(text) == 0:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number above 0")
+    return int(text)
+
+
+def seed(text: str) -> int:
+    """A whole number from 0 to 2^63 - 1."""
+    if not text.isdecimal() or int(text) >= 2**63:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 0 to 2^63 - 1")
+    return int(text)
+
+
+def picture_size(text: str) -> tuple[int, int]:
+    """WIDTHxHEIGHT, or one number for a square; even numbers."""
+    parts = text.lower().split("x")
+    numbers = [int(part) if part.isdecimal() else 0 for part in parts]
+    if len(numbers) not in (1, 2) or any(n < 16 or n > 8192 or n % 2 for n in numbers):
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is no picture size: give WIDTHxHEIGHT in even pixels, such as 720x720"
+        )
+    return numbers[0], numbers[-1]
+
+
+def _command(commands: Any, name: str, handler: str, help_text: str, **settings: Any) -> Parser:
+    parser: Parser = commands.add_parser(
+        name, help=help_text, description=settings.pop("description", help_text), **settings
+    )
+    parser.add_argument("--debug", action="store_true", help="show the whole traceback of errors")
+    parser.set_defaults(handler=handler)
+    return parser
+
+
+def _group(commands: Any, name: str, help_text: str, required: bool = True) -> tuple[Parser, Any]:
+    parser: Parser = commands.add_parser(name, help=help_text, description=help_text)
+    nested = parser.add_subparsers(title="commands", metavar="COMMAND", required=required)
+    return parser, nested
+
+
+def _add_pose(parser: Parser) -> None:
+    parser.add_argument("--unit", choices=UNITS, default="auto", help="length unit of the mesh")
+    parser.add_argument("--up", choices=AXES, default="auto", help="axis to the top of the head")
+    parser.add_argument("--forward", choices=AXES, default="auto", help="axis out of the face")
+
+
+def _add_pretrained(parser: Parser) -> None:
+    help_text = "name of installed weights (see 'freetalk models') or their folder"
+    parser.add_argument("--pretrained", default=DEFAULT_WEIGHTS, metavar="NAME", help=help_text)
+
+
+def _add_animate(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "animate",
+        "animate:run",
+        "animate a face mesh with speech",
+        description=(
+            "Animates a face mesh of any topology with recorded speech. Outputs by name: talk.glb or "
+            "talk.gltf (morph targets), talk.npz (arrays), talk.mp4 (rendered, with sound), and for one "
+            "mesh a frame a folder: 'frames/' or 'frames/*.obj' (OBJ), 'frames/*.ply' (PLY)."
+        ),
+    )
+    parser.add_argument(
+        "--audio", required=True, metavar="FILE", help="speech: WAV, FLAC, OGG, MP3"
+    )
+    mesh_help = "face: OBJ, PLY, OFF, STL; without it the built-in mean face"
+    parser.add_argument("--mesh", metavar="FILE", help=mesh_help)
+    parser.add_argument(
+        "--emotion", default="neutral", help="such as neutral, happy, angry, sad, surprise, afraid"
+    )
+    parser.add_argument("--intensity", type=intensity, default=2.0, help="1 (slight) to 3 (strong)")
+    parser.add_argument("--fps", type=positive, default=30.0, help="frames per second")
+    parser.add_argument("--seed", type=seed, default=0, help="another seed, another performance")
+    steps_help = "denoising steps; fewer are faster; by default those of the weights"
+    parser.add_argument(
+        "--steps", type=natural, default=argparse.SUPPRESS, metavar="N", help=steps_help
+    )
+    _add_pose(parser)
+    _add_pretrained(parser)
+    parser.add_argument(
+        "--out", action="append", required=True, metavar="PATH", help="where to write; repeatable"
+    )
+    parser.add_argument("--size", type=picture_size, default="720x720", help="pixels of an .mp4")
+    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+def _add_train(commands: Any) -> None:
+    _, kinds = _group(commands, "train", "train a model on a corpus; continues where it stopped")
+    for kind, what in (
+        ("ats", "audio to sparse: speech to the motion of 68 landmarks"),
+        ("stm", "sparse to mesh: landmark motion to the motion of any mesh"),
+        ("speech", "the speech encoder"),
+    ):
+        parser = _command(kinds, kind, "train:run", f"train {what}")
+        parser.set_defaults(kind=kind)
+        parser.add_argument("--config", required=True, metavar="YAML", help="see configs/")
+        parser.add_argument("--data", required=True, metavar="DIR", help="the corpus")
+        parser.add_argument("--out", required=True, metavar="DIR", help="weights and checkpoints")
+        parser.add_argument(
+            "overrides", nargs="*", metavar="section.key=value", help="wins over the configuration"
+        )
+
+
+def _add_evaluate(commands: Any) -> None:
+    parser = _command(
+        commands, "evaluate", "evaluate:run", "measure weights on a corpus's test split"
+    )
+    parser.add_argument("--data", required=True, metavar="DIR", help="the corpus")
+    _add_pretrained(parser)
+    parser.add_argument("--out", metavar="JSON", help="also write the figures to this file")
+    parser.add_argument("--seed", type=seed, default=0, help="seed of the generated samples")
+    parser.add_argument("overrides", nargs="*", metavar="key=value", help=argparse.SUPPRESS)
+
+
+def _add_corpus(commands: Any) -> None:
+    _, nested = _group(commands, "corpus", "the open corpus that the shipped weights come from")
+    parser = _command(
+        nested,
+        "build",
+        "corpus:build",
+        "build the open corpus",
+        description=(
+            "Builds the open corpus: manifest.json (splits; per sequence audio, emotion, intensity, "
+            "identity), landmarks.npy (T, 68, 3) in metres, weights.npy, identities.npy, phones.json, "
+            "topologies/*.npz and 16 kHz audio. Data of your own in this form trains the same way."
+        ),
+    )
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder to make")
+    parser.add_argument("--size", choices=("tiny", "small", "full"), default="small", help="size")
+    parser.add_argument("--seed", type=seed, default=0, help="same seed, same corpus")
+
+
+def _add_mesh(commands: Any) -> None:
+    _, nested = _group(commands, "mesh", "look into mesh files")
+    parser = _command(nested, "check", "mesh:check", "report counts, size, unit and pose of a mesh")
+    parser.add_argument("file", metavar="FILE", help="OBJ, PLY, OFF or STL")
+    _add_pose(parser)
+    _add_pretrained(parser)
+
+
+def _add_speech(commands: Any) -> None:
+    _, nested = _group(commands, "speech", "the speech encoder")
+    parser = _command(nested, "encode", "speech:encode", "write speech features as a NumPy array")
+    parser.add_argument(
+        "--audio", required=True, metavar="FILE", help="speech: WAV, FLAC, OGG, MP3"
+    )
+    parser.add_argument("--fps", type=positive, default=30.0, help="feature frames per second")
+    _add_pretrained(parser)
+    parser.add_argument("--out", required=True, metavar="NPY", help="where to write (T, C) float32")
+
+
+def _add_view(commands: Any) -> None:
+    parser = _command(commands, "view", "view:run", "show an animation, or render it to files")
+    parser.add_argument("file", metavar="FILE", help="an animation .npz")
+    parser.add_argument("--png", metavar="FILE", help="write a picture instead of opening a window")
+    parser.add_argument("--mp4", metavar="FILE", help="write a video instead of opening a window")
+    parser.add_argument("--time", type=float, default=0.0, help="moment of the picture, seconds")
+    parser.add_argument("--size", type=picture_size, default="720x720", help="pixels")
+    parser.add_argument("--yaw", type=float, default=12.0, help="degrees the camera stands aside")
+
+
+def _add_models(commands: Any) -> None:
+    parser, nested = _group(commands, "models", "the weights that are installed", required=False)
+    parser.set_defaults(handler="models:list_models", debug=False)
+    _command(nested, "list", "models:list_models", "list the weights that are installed")

@@ -1,0 +1,40 @@
+"""``freetalk speech``."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+import numpy as np
+
+from freetalk.cli.outputs import check_readable, check_writable
+from freetalk.cli.weights import find_weights
+
+
+def encode(arguments: argparse.Namespace) -> None:
+    """Writes speech features, one row a motion frame."""
+    out = Path(arguments.out)
+    if out.suffix.lower() != ".npy":
+        raise ValueError(f"'{arguments.out}' does not say what to write: end it in .npy")
+    check_writable(out)
+    audio_file = check_readable(arguments.audio, "a recording of speech")
+    weights = find_weights(arguments.pretrained)
+    import torch
+
+    import freetalk
+    from freetalk.speech import SpeechEncoder, encode_speech
+
+    audio = freetalk.load_audio(audio_file)
+    encoder = SpeechEncoder.from_pretrained(weights / "speech")
+    samples = torch.as_tensor(np.asarray(audio.samples))
+    features = encode_speech(encoder, samples, arguments.fps).cpu().numpy()
+    out.parent.mkdir(parents=True, exist_ok=True)
+    partial = out.with_name(f".{out.name}.{os.getpid()}.partial")
+    try:
+        with partial.open("wb") as file:
+            np.save(file, features)
+        partial.replace(out)
+    finally:
+        partial.unlink(missing_ok=True)
+    print(f"{out}: {features.shape[0]} frames of {features.shape[1]} features")

@@ -1,0 +1,25 @@
+"""``freetalk train``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from freetalk.cli.outputs import check_readable, check_writable
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Trains a model; continues when the output folder holds an unfinished run."""
+    check_readable(arguments.config, "a configuration (YAML)")
+    if not Path(arguments.data).is_dir():
+        raise OSError(f"'{arguments.data}' is no folder: give a corpus ('freetalk corpus build')")
+    for override in arguments.overrides:
+        if "=" not in override:
+            raise ValueError(f"'{override}' is not understood: write section.key=value")
+    check_writable(Path(arguments.out), is_folder=True)
+    from freetalk import train
+
+    result = train.run(
+        arguments.kind, arguments.config, arguments.overrides, arguments.data, arguments.out
+    )
+    print(result)
