@@ -1,0 +1,103 @@
+// STM, Sparse-To-Mesh [FreeTalk 3.2]: landmark displacements + a static mesh of any topology -> vertex displacements.
+//
+//   f_i = E_M(v_i, n_i)                       DiffusionNet, once a mesh
+//   l~_tj = phi([GCN(dL_t)_j | PE(j)])        [Eq. 12]
+//   c_ti = sum_j softmax_j(q_i . k_tj / sqrt(d_c)) v_tj   [Eq. 13-14, per head]
+//   dV_t = D([f_i, g_t, c_ti])                DiffusionNet, g_t = all landmark displacements of the frame
+//
+// Lengths: the mesh is in metres in the canonical frame; positions enter as v / length_scale and the operators are
+// those of the mesh divided by length_scale, displacements as d / displacement_scale.
+#pragma once
+
+#include <torch/nn/module.h>
+#include <torch/nn/modules/linear.h>
+#include <torch/nn/pimpl.h>
+
+#include <functional>
+#include <string>
+
+#include "freetalk/geometry/operators.h"
+#include "freetalk/nn/diffusion_net.h"
+#include "freetalk/nn/landmark_graph.h"
+
+namespace freetalk::stm {
+
+struct StmOptions {
+  int64_t encoder_width = 128;        // [supp. 2]
+  int64_t encoder_blocks = 4;         // unstated
+  int64_t feature_dim = 128;          // d, channels of f_i [supp. 2]
+  int64_t decoder_width = 128;        // [supp. 2]
+  int64_t decoder_blocks = 4;         // unstated
+  double dropout = 0.0;               // of both DiffusionNets
+  int64_t k_eig = 128;                // K, eigenpairs; unstated
+  int64_t gcn_layers = 3;             // [supp. 2]
+  int64_t gcn_hidden = 128;           // [supp. 2]
+  int64_t index_code_dim = 128;       // channels of PE(j), sinusoidal
+  int64_t attention_heads = 4;        // [supp. 2]
+  int64_t attention_dim = 128;        // d_c over all heads [supp. 2]
+  double length_scale = 0.1;          // m, the unit of positions and operators
+  double displacement_scale = 0.01;   // m, the unit of displacements
+  template <class V>
+  void fields(V& v) {
+    v("encoder_width", encoder_width);
+    v("encoder_blocks", encoder_blocks);
+    v("feature_dim", feature_dim);
+    v("decoder_width", decoder_width);
+    v("decoder_blocks", decoder_blocks);
+    v("dropout", dropout);
+    v("k_eig", k_eig);
+    v("gcn_layers", gcn_layers);
+    v("gcn_hidden", gcn_hidden);
+    v("index_code_dim", index_code_dim);
+    v("attention_heads", attention_heads);
+    v("attention_dim", attention_dim);
+    v("length_scale", length_scale);
+    v("displacement_scale", displacement_scale);
+  }
+  void check() const;
+};
+
+/// What depends on the mesh alone, computed once.
+struct MeshFeatures {
+  at::Tensor hidden;   // (V, decoder_width): W_f f_i + b, the mesh's part of the decoder's first layer
+  at::Tensor queries;  // (heads, V, d_head)
+};
+
+class StmImpl : public torch::nn::Module {
+ public:
+  explicit StmImpl(const StmOptions& options);
+
+  /// @param positions (V, 3) metres, canonical frame. @param operators of positions / length_scale.
+  MeshFeatures encode(const at::Tensor& positions, const geometry::SurfaceOperators& operators);
+
+  /// @param landmarks (T, 68, 3) displacements, metres. @returns (T, V, 3) displacements, metres.
+  at::Tensor decode(const MeshFeatures& mesh, const geometry::SurfaceOperators& operators,
+                    const at::Tensor& landmarks);
+
+  /// encode + decode.
+  at::Tensor forward(const at::Tensor& positions, const geometry::SurfaceOperators& operators,
+                     const at::Tensor& landmarks);
+
+  /// Frames decoded at once within `memory_bytes`, at least 1.
+  int64_t frames_per_chunk(int64_t num_vertices, int64_t memory_bytes) const;
+
+  const StmOptions& options() const { return options_; }
+
+ private:
+  at::Tensor landmark_features(const at::Tensor& landmarks);
+
+  StmOptions options_;
+  nn::DiffusionNet encoder_{nullptr}, decoder_{nullptr};
+  nn::Gcn gcn_{nullptr};
+  torch::nn::Linear landmark_proj_{nullptr}, query_proj_{nullptr}, key_proj_{nullptr}, value_proj_{nullptr};
+};
+TORCH_MODULE(Stm);
+
+/// Decodes any number of frames in chunks without gradients: memory grows with the chunk, not with T.
+/// @param sink called with (first frame, (t, V, 3) displacements in metres) in order.
+/// @param memory_bytes working memory of a chunk.
+void decode_chunked(Stm& model, const MeshFeatures& mesh, const geometry::SurfaceOperators& operators,
+                    const at::Tensor& landmarks, const std::function<void(int64_t, const at::Tensor&)>& sink,
+                    int64_t memory_bytes = int64_t{128} << 20);
+
+}  // namespace freetalk::stm

@@ -1,0 +1,129 @@
+#include <gtest/gtest.h>
+#include <torch/torch.h>
+
+#include <cmath>
+
+#include "freetalk/geometry/operators.h"
+#include "freetalk/nn/diffusion_net.h"
+#include "freetalk/nn/embedding.h"
+#include "freetalk/nn/landmark_graph.h"
+#include "freetalk/nn/sparse.h"
+#include "freetalk/nn/transformer.h"
+
+namespace freetalk::nn {
+namespace {
+
+at::Tensor random_sparse(int64_t rows, int64_t columns) {
+  const at::Tensor dense = torch::randn({rows, columns}, torch::kDouble);
+  return dense * (torch::rand({rows, columns}) < 0.3);
+}
+
+geometry::SurfaceOperators grid_operators(int64_t k) {
+  constexpr int kSide = 6;
+  Eigen::MatrixXd vertices(kSide * kSide, 3);
+  std::vector<std::array<int, 3>> triangles;
+  for (int i = 0; i < kSide; ++i) {
+    for (int j = 0; j < kSide; ++j) {
+      vertices.row(i * kSide + j) << 0.3 * i, 0.2 * j, 0.05 * std::sin(i + j);
+      if (i + 1 < kSide && j + 1 < kSide) {
+        const int a = i * kSide + j, b = a + 1, c = a + kSide, d = c + 1;
+        triangles.push_back({a, c, b});
+        triangles.push_back({b, c, d});
+      }
+    }
+  }
+  Eigen::MatrixXi faces(static_cast<int>(triangles.size()), 3);
+  for (size_t f = 0; f < triangles.size(); ++f) {
+    for (int c = 0; c < 3; ++c) faces(static_cast<int>(f), c) = triangles[f][static_cast<size_t>(c)];
+  }
+  geometry::OperatorOptions options;
+  options.k_eig = k;
+  return geometry::surface_operators(vertices, faces, options);
+}
+
+TEST(SparseProduct, EqualsDenseWithGradient) {
+  torch::manual_seed(0);
+  const at::Tensor dense = random_sparse(7, 5);
+  at::Tensor x = torch::randn({3, 5, 4}, torch::dtype(torch::kDouble).requires_grad(true));
+  at::Tensor x_copy = x.detach().clone().requires_grad_(true);
+  const at::Tensor y = sparse_product(dense.to_sparse_csr(), dense.t().to_sparse_csr(), x);
+  const at::Tensor expected = dense.matmul(x_copy);
+  EXPECT_TRUE(torch::allclose(y, expected, 1e-12, 1e-12));
+  const at::Tensor weight = torch::randn_like(y);
+  (y * weight).sum().backward();
+  (expected * weight).sum().backward();
+  EXPECT_TRUE(torch::allclose(x.grad(), x_copy.grad(), 1e-12, 1e-12));
+}
+
+TEST(SparseProduct, WrongSizeIsNamed) {
+  const at::Tensor dense = random_sparse(4, 5);
+  EXPECT_THROW(sparse_product(dense.to_sparse_csr(), dense.t().to_sparse_csr(), torch::zeros({1, 4, 2})),
+               std::invalid_argument);
+}
+
+TEST(SinusoidalCode, IsTheClosedForm) {
+  const at::Tensor code = sinusoidal_code(torch::tensor({0, 3}), 4);
+  const float expected[] = {0, 0, 1, 1, std::sin(3.0F), std::sin(0.03F), std::cos(3.0F), std::cos(0.03F)};
+  for (int i = 0; i < 8; ++i) EXPECT_NEAR(code.view(-1)[i].item<float>(), expected[i], 1e-6);
+}
+
+TEST(BandMask, AllowsOnlyTheBand) {
+  const at::Tensor mask = band_mask(5, 1, c10::kCPU);
+  for (int i = 0; i < 5; ++i) {
+    for (int j = 0; j < 5; ++j) EXPECT_EQ(mask[i][j].item<bool>(), std::abs(i - j) <= 1);
+  }
+}
+
+TEST(MultiheadAttention, MaskedKeysHaveNoInfluence) {
+  torch::manual_seed(1);
+  MultiheadAttention attention(8, 2, 0.0);
+  const at::Tensor query = torch::randn({1, 3, 8});
+  at::Tensor memory = torch::randn({1, 3, 8});
+  const at::Tensor allowed = band_mask(3, 0, c10::kCPU);
+  const at::Tensor before = attention(query, memory, allowed);
+  memory = memory.clone();
+  memory[0][2] += 100;
+  const at::Tensor after = attention(query, memory, allowed);
+  EXPECT_TRUE(torch::equal(before.narrow(1, 0, 2), after.narrow(1, 0, 2)));
+  EXPECT_FALSE(torch::allclose(before[0][2], after[0][2]));
+}
+
+TEST(LandmarkGraph, IsSymmetricUnderMirrorAndConnected) {
+  std::set<std::pair<int64_t, int64_t>> edges(landmark_edges().begin(), landmark_edges().end());
+  for (const auto& [a, b] : edges) {
+    const int64_t ma = landmark_mirror()[static_cast<size_t>(a)], mb = landmark_mirror()[static_cast<size_t>(b)];
+    EXPECT_EQ(edges.count({std::min(ma, mb), std::max(ma, mb)}), 1U) << a << "-" << b;
+  }
+  at::Tensor reach = (landmark_adjacency() > 0).to(torch::kFloat);
+  for (int i = 0; i < 7; ++i) reach = reach.matmul(reach).clamp_max(1);
+  EXPECT_TRUE((reach > 0).all().item<bool>());
+}
+
+TEST(DiffusionNet, ConstantsDiffuseToThemselves) {
+  const auto operators = grid_operators(8);
+  LearnedDiffusion diffusion(2);
+  diffusion->to(torch::kDouble);
+  const at::Tensor x = torch::ones({1, 36, 2}, torch::kDouble);
+  EXPECT_TRUE(torch::allclose(diffusion(x, operators), x, 1e-6, 1e-6));
+}
+
+TEST(DiffusionNet, FramesAreIndependent) {
+  torch::manual_seed(2);
+  const auto operators = grid_operators(8);
+  DiffusionNet net(DiffusionNetOptions{3, 2, 8, 2, 0.0});
+  net->to(torch::kDouble);
+  const at::Tensor x = torch::randn({4, 36, 3}, torch::kDouble);
+  const at::Tensor all = net(x, operators);
+  for (int64_t frame = 0; frame < 4; ++frame) {
+    EXPECT_TRUE(torch::allclose(all.narrow(0, frame, 1), net(x.narrow(0, frame, 1), operators), 1e-9, 1e-9));
+  }
+}
+
+TEST(DiffusionNet, WrongShapeThrows) {
+  const auto operators = grid_operators(8);
+  DiffusionNet net(DiffusionNetOptions{3, 2, 8, 1, 0.0});
+  EXPECT_THROW(net(torch::zeros({1, 35, 3}), operators), std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace freetalk::nn
