@@ -31,3 +31,8 @@ install(FILES "${CMAKE_CURRENT_BINARY_DIR}/freetalkConfig.cmake"
               src/cmake/freetalk_torch.cmake src/cmake/freetalk_torch_version.cmake
               src/cmake/dependencies.cmake
         DESTINATION "${FREETALK_CMAKE_DIR}" COMPONENT development)
+
+# The wheel: configurations go beside the modules, where `freetalk train --config NAME` finds them.
+if(SKBUILD)
+  install(DIRECTORY configs DESTINATION freetalk COMPONENT python FILES_MATCHING PATTERN "*.yaml")
+endif()

@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+import sysconfig
 import zipfile
 from pathlib import Path
 
@@ -20,18 +21,18 @@ BUILD = ROOT / "build"
 MIB = 1 << 20
 
 
-def python(code: str, cwd: Path, path: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Runs `code` in a new interpreter from another folder."""
+def python(code: str, cwd: Path, site: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Runs `code` in a new interpreter from another folder.
+
+    With `site`, freetalk comes from there: the checkout's own installation is left out by skipping .pth files.
+    """
+    command = [sys.executable, "-c", code]
+    if site is not None:
+        paths = [str(site), sysconfig.get_paths()["purelib"], sysconfig.get_paths()["platlib"]]
+        command = [sys.executable, "-S", "-c", f"import sys\nsys.path += {paths}\n{code}"]
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-    if path is not None:
-        environment["PYTHONPATH"] = str(path)
     return subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=cwd,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
+        command, cwd=cwd, env=environment, capture_output=True, text=True, check=False
     )
 
 
@@ -127,6 +128,9 @@ def test_wheel_is_complete(wheel: Path) -> None:
         assert wanted - names == set()
     assert sum(name.startswith("freetalk/_native.") for name in names) == 1
     assert "freetalk/py.typed" in names
+    configs = {f"freetalk/configs/{path.name}" for path in (ROOT / "configs").glob("*.yaml")}
+    assert configs
+    assert configs <= names
     assert any(name.endswith("licenses/THIRD_PARTY_NOTICES.md") for name in names)
     strange = {name for name in names if not name.startswith(("freetalk/", "freetalk-"))}
     assert not strange
@@ -140,6 +144,6 @@ def test_wheel_works_from_any_folder(wheel: Path, tmp_path: Path) -> None:
         "talker = freetalk.Talker.from_pretrained('open-small')\n"
         "print(pathlib.Path(freetalk.__file__).parent, pathlib.Path(freetalk._native.__file__).parent)"
     )
-    result = python(code, tmp_path, path=site)
+    result = python(code, tmp_path, site=site)
     assert result.returncode == 0, result.stderr
     assert result.stdout.split() == [str(site / "freetalk")] * 2

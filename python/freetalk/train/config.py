@@ -161,9 +161,7 @@ class StmTaskOptions:
     def check(self) -> None:
         """Raises ValueError where a value is out of range."""
         _require(self.frames >= 3, "task.frames must be at least 3", self.frames)
-        _require(
-            0 <= self.scale_range < 1, "task.scale_range must be in [0, 1)", self.scale_range
-        )
+        _require(0 <= self.scale_range < 1, "task.scale_range must be in [0, 1)", self.scale_range)
         _require(self.lip_weight > 0, "task.lip_weight must be positive", self.lip_weight)
 
 
@@ -225,12 +223,32 @@ class TrainingConfig:
         return dataclasses.asdict(self)
 
 
+def find_config(path: str | Path) -> Path:
+    """The file at ``path``, or the shipped configuration of that name.
+
+    Raises:
+        FileNotFoundError: neither exists; the message lists the shipped names.
+    """
+    if Path(path).is_file():
+        return Path(path)
+    package = Path(__file__).resolve().parents[1]
+    shipped = {
+        file.stem: file
+        for folder in (package.parents[1] / "configs", package / "configs")
+        for file in sorted(folder.glob("*.yaml"))
+    }
+    if str(path) not in shipped:
+        names = ", ".join(sorted(shipped))
+        raise FileNotFoundError(f"no configuration file {path}; shipped configurations: {names}")
+    return shipped[str(path)]
+
+
 def load_config(kind: str, path: str | Path, overrides: list[str] | None = None) -> TrainingConfig:
     """Reads a YAML file with sections ``model``, ``loop`` and ``task``.
 
     Args:
         kind: ``ats``, ``stm`` or ``speech``.
-        path: YAML file.
+        path: YAML file, or the name of a shipped one (``ats_small``).
         overrides: ``section.key=value`` pairs that win over the file.
 
     Raises:
@@ -239,8 +257,7 @@ def load_config(kind: str, path: str | Path, overrides: list[str] | None = None)
     """
     if kind not in _TASKS:
         raise ValueError(f"unknown training {kind!r}; known: {', '.join(KINDS)}")
-    if not Path(path).is_file():
-        raise FileNotFoundError(f"no configuration file {path}")
+    path = find_config(path)
     try:
         merged = OmegaConf.merge(OmegaConf.load(path), OmegaConf.from_dotlist(overrides or []))
         raw = OmegaConf.to_container(merged, resolve=True)
