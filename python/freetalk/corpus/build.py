@@ -10,6 +10,7 @@ import uuid
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -23,6 +24,7 @@ from freetalk.corpus.sequences import FPS, SAMPLE_RATE_HZ, Job, Made, Maker, voi
 FORMAT = "freetalk-open-corpus"
 VERSION = 1
 CHUNK = 12
+CHUNK_TIMEOUT_S = 900
 PROCESSES = 2
 
 
@@ -86,8 +88,13 @@ def _made_in_order(work: Path, jobs: list[Job]) -> Iterator[Made]:
     chunks = [jobs[i : i + CHUNK] for i in range(0, len(jobs), CHUNK)]
     context = multiprocessing.get_context("fork")
     with context.Pool(PROCESSES, maxtasksperchild=1) as pool:
-        for made in pool.imap(partial(_make_chunk, work), chunks):
-            yield from made
+        results = pool.imap(partial(_make_chunk, work), chunks)
+        for chunk in chunks:
+            try:
+                yield from results.next(timeout=CHUNK_TIMEOUT_S)
+            except multiprocessing.TimeoutError as error:
+                names = f"{chunk[0].id} to {chunk[-1].id}"
+                raise RuntimeError(f"a worker stopped while making {names}: build again") from error
 
 
 def _write(work: Path, size: str, seed: int, progress: bool) -> None:
@@ -144,7 +151,7 @@ def _topologies(
     ]
     entries: list[dict[str, object]] = []
     for spec in tqdm(chosen, "topologies", disable=not progress):
-        arrays = topologies.topology_arrays(model, spec, seed)
+        arrays: dict[str, Any] = dict(topologies.topology_arrays(model, spec, seed))
         file = f"topologies/{spec.name}.npz"
         np.savez(work / file, **arrays)
         entries.append(
@@ -164,8 +171,9 @@ def _sequence_entries(
     made: list[Made], identities: list[dict[str, object]], seed: int
 ) -> list[dict[str, object]]:
     rng = np.random.default_rng([seed, 9])
-    by_split = {s: [i["index"] for i in identities if i["split"] == s] for s in SPLITS}
-    entries, start = [], 0
+    by_split = {s: [k for k, i in enumerate(identities) if i["split"] == s] for s in SPLITS}
+    entries: list[dict[str, object]] = []
+    start = 0
     for item in made:
         job = item.job
         entries.append(

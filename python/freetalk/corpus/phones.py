@@ -35,7 +35,9 @@ EMODB_TO_ARPABET: dict[str, str] = {
 }  # fmt: skip
 
 ARPABET = frozenset(phone for phones in ESPEAK_TO_ARPABET.values() for phone in phones)
-VOWELS = frozenset("IY IH EH AE AA AO UH UW AH ER AX EY AY OY AW OW".split())
+VOWELS = frozenset(
+    ("IY", "IH", "EH", "AE", "AA", "AO", "UH", "UW", "AH", "ER", "AX", "EY", "AY", "OY", "AW", "OW")
+)
 BILABIALS = frozenset("PBM")
 LABIODENTALS = frozenset("FV")
 

@@ -25,7 +25,10 @@ _RATE, _PITCH, _RANGE = 1, 3, 4
 
 @dataclass(frozen=True)
 class Voice:
-    """A synthetic voice: `engine` is espeak or flite, `name` its voice; rate 1 and pitch 1 are its own."""
+    """A synthetic voice: `engine` is espeak or flite, `name` its voice; rate 1 and pitch 1 are its own.
+
+    flite voices keep their own pitch.
+    """
 
     engine: str
     name: str

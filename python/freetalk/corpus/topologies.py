@@ -12,6 +12,7 @@ Masks (carried by W, threshold one half):
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -86,7 +87,7 @@ def closest_on_triangles(
     v = (d11 * d20 - d01 * d21) / denominator
     w = (d00 * d21 - d01 * d20) / denominator
     inside = np.stack([1 - v - w, v, w], 1)
-    consider(inside, (inside >= 0).all(1))
+    consider(inside, np.asarray((inside >= 0).all(axis=1)))
     always = np.ones(len(points), bool)
     for start, end, i, j in ((a, b, 0, 1), (b, c, 1, 2), (c, a, 2, 0)):
         edge = end - start
@@ -160,8 +161,10 @@ def remesh(model: FaceModel, base: Meshing, vertices: int) -> Meshing:
     fine = subdivide(base)
     source = np.ascontiguousarray(fine.carry @ model.neutral, np.float64)
     cells = np.c_[np.full(len(fine.faces), 3), fine.faces].ravel()
-    clusters = pyacvd.Clustering(pv.PolyData(source, cells))
-    clusters.cluster(vertices)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # pyacvd calls a renamed pyvista attribute
+        clusters = pyacvd.Clustering(pv.PolyData(source, cells))
+        clusters.cluster(vertices)
     group = np.asarray(clusters.clusters, np.int64)
     faces = faces_of_clusters(group, fine.faces)
     count = int(group.max()) + 1

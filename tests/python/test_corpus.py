@@ -1,0 +1,219 @@
+"""The open corpus: layout, disjoint splits, lips, emotions, determinism."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import soundfile as sf
+
+from freetalk.corpus import assets, build_corpus, curves, emotion, plan, rest
+from freetalk.corpus.lips import LIMIT_M, Lips
+from freetalk.corpus.phones import BILABIALS, LABIODENTALS
+
+MODEL = assets.load_face_model()
+LIPS = Lips(MODEL)
+CLOSED_M = (
+    0.0005  # a bilabial's least opening over its frames: well under the neutral lips' own 0.76 mm
+)
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_corpus(tmp_path_factory.mktemp("corpus") / "tiny", "tiny", 0, progress=False)
+
+
+@pytest.fixture(scope="module")
+def manifest(corpus: Path) -> dict[str, Any]:
+    return json.loads((corpus / "manifest.json").read_text())
+
+
+def _frames(sequence: dict[str, Any]) -> slice:
+    return slice(sequence["start_frame"], sequence["start_frame"] + sequence["num_frames"])
+
+
+def test_assets_match_their_manifest_and_budget() -> None:
+    listing = json.loads((assets.ASSETS / "manifest.json").read_text())
+    assert listing["total_bytes"] <= 25_000_000
+    for entry in listing["files"]:
+        data = (assets.ASSETS / entry["path"]).read_bytes()
+        assert hashlib.sha256(data).hexdigest() == entry["sha256"], entry["path"]
+    folders = {Path(entry["path"]).parts[0] for entry in listing["files"]}
+    for folder in folders:
+        assert (assets.ASSETS / folder / "LICENSE").is_file()
+        assert (assets.ASSETS / folder / "SOURCE.txt").is_file()
+
+
+def test_canonical_frame_has_its_origin_at_the_mean_landmark() -> None:
+    landmarks = MODEL.neutral[MODEL.landmarks68]
+    np.testing.assert_allclose(landmarks.mean(axis=0), 0, atol=1e-6)
+    assert landmarks[27, 1] > landmarks[8, 1]  # the nose lies above the chin
+    assert landmarks[45, 0] > landmarks[36, 0]  # the subject's left eye is on +X
+    assert 0.05 < landmarks[45, 0] - landmarks[36, 0] < 0.12  # metres
+
+
+@pytest.mark.parametrize("extent", list(assets.EXTENTS))
+def test_mean_face_is_a_closed_index_set(extent: str) -> None:
+    vertices, faces = assets.mean_face(extent)
+    assert len(vertices) == assets.EXTENTS[extent]
+    assert faces.min() >= 0 and faces.max() < len(vertices)
+    with pytest.raises(ValueError, match="narrow, face"):
+        assets.mean_face("nose")
+
+
+def test_layout_is_consistent(corpus: Path, manifest: dict[str, Any]) -> None:
+    landmarks = np.load(corpus / "landmarks.npy")
+    weights = np.load(corpus / "weights.npy")
+    identities = np.load(corpus / "identities.npy")
+    assert landmarks.dtype == np.float32 and landmarks.shape[1:] == (68, 3)
+    assert weights.shape == (len(landmarks), len(manifest["expressions"]))
+    assert np.isfinite(landmarks).all() and weights.min() >= 0 and weights.max() <= 1
+    assert identities.shape == (len(manifest["identities"]), 100)
+    basis = MODEL.landmark_basis.astype(np.float64)
+    np.testing.assert_allclose(landmarks, np.tensordot(weights, basis, 1), atol=1e-6)
+    ends = [0]
+    for sequence in manifest["sequences"]:
+        assert sequence["start_frame"] == ends[-1]
+        ends.append(sequence["start_frame"] + sequence["num_frames"])
+        assert sequence["emotion"] in manifest["emotions"]
+        if sequence["audio"] is not None:
+            info = sf.info(corpus / sequence["audio"])
+            assert info.samplerate == 16000 and info.channels == 1
+            assert info.frames == round(sequence["num_frames"] * 16000 / 30)
+    assert ends[-1] == len(landmarks)
+    assert {s["source"] for s in manifest["sequences"]} == {
+        "synthetic", "emodb", "facegood", "rom", "rest",
+    }  # fmt: skip
+    assert not list(corpus.parent.glob(".*partial"))
+
+
+@pytest.mark.parametrize("size", ["tiny", "small"])
+def test_no_split_shares_speech(size: str) -> None:
+    jobs = plan.all_jobs(plan.SIZES[size], 0)
+    for one, other in (("train", "test"), ("train", "val"), ("val", "test")):
+        first, second = ([j for j in jobs if j.split == s] for s in (one, other))
+        assert not {j.text for j in first if j.text} & {j.text for j in second if j.text}
+        assert not {j.audio for j in first if j.audio} & {j.audio for j in second if j.audio}
+        assert not {j.speaker for j in first if j.speaker} & {
+            j.speaker for j in second if j.speaker
+        }
+        variants = [{j.voice.name.split("+")[-1] for j in js if j.voice} for js in (first, second)]
+        assert not variants[0] & variants[1]
+    assert {j.take for j in jobs if j.split == "test" and j.source == "facegood"} == {"1114_3_15"}
+    assert "1114_3_15" not in {j.take for j in jobs if j.split != "test"}
+
+
+def test_identities_and_topologies_have_their_splits(manifest: dict[str, Any]) -> None:
+    split_of = {entry["index"]: entry["split"] for entry in manifest["identities"]}
+    for sequence in manifest["sequences"]:
+        assert split_of[sequence["identity"]] == sequence["split"]
+    assert {t["split"] for t in manifest["topologies"]} == {"train", "val", "test"}
+
+
+def test_lips_close_on_bilabials_and_touch_teeth_on_labiodentals(
+    corpus: Path, manifest: dict[str, Any]
+) -> None:
+    landmarks = np.load(corpus / "landmarks.npy")
+    phones = json.loads((corpus / "phones.json").read_text())
+    opening = landmarks[:, 62, 1] - landmarks[:, 66, 1]
+    closures, teeth, vowels = [], [], []
+    for sequence in manifest["sequences"]:
+        if sequence["source"] != "synthetic":
+            continue
+        track = opening[_frames(sequence)]
+        times = (np.arange(len(track)) + 0.5) / manifest["fps"]
+        for start, end, label in phones[sequence["audio"]]:
+            inside = track[(times >= start) & (times < end)]
+            if len(inside) == 0:
+                continue
+            if label in BILABIALS:
+                closures.append(inside.min())
+            elif label in LABIODENTALS:
+                teeth.append(np.median(inside))
+            elif label in ("AA", "AE"):
+                vowels.append(inside.max())
+    assert np.mean(np.array(closures) < CLOSED_M) > 0.95
+    assert 0.0015 < np.median(teeth) < 0.0035
+    assert 0.008 < np.median(vowels) < 0.016
+
+
+def test_captured_speech_opens_as_speech_does() -> None:
+    gap = []
+    for name in assets.TRAIN_TAKES + assets.TEST_TAKES:
+        weights = curves.facegood_weights(MODEL, LIPS, assets.load_take(name))
+        opening = LIPS.opening(weights)
+        gap.append(np.percentile(opening, 99.5))
+        assert opening.max() <= LIMIT_M + 1e-4
+        assert np.percentile(opening, 5) < 0.001  # closures stay closures
+        assert LIPS.narrowest(weights).min() > -0.0007  # lips do not pass through each other
+    assert 0.012 < max(gap) < 0.019
+
+
+@pytest.mark.parametrize("label", emotion.EMOTIONS[1:])
+def test_emotion_keeps_the_opening_and_grows_with_intensity(label: str) -> None:
+    take = assets.load_take("1114_3_15")
+    weights = curves.facegood_weights(MODEL, LIPS, take)[:240]
+    opening = LIPS.opening(weights)
+    basis = MODEL.landmark_basis.reshape(len(MODEL.expression_names), -1)
+    moved = []
+    for intensity in (1.0, 2.0, 3.0):
+        rng = np.random.default_rng(0)
+        shown = emotion.add_emotion(MODEL, LIPS, weights, label, intensity, rng)
+        change = ((shown - weights) @ basis).reshape(-1, 68, 3)
+        moved.append(np.linalg.norm(change[:, 17:48], axis=-1).mean())
+        assert np.abs(LIPS.opening(shown) - opening).max() < 0.0012
+        assert LIPS.opening(shown)[opening < 1e-4].max() < 0.0012  # closed lips stay closed
+    assert moved[0] < moved[1] < moved[2]
+
+
+def test_emotions_are_apart_in_the_upper_face() -> None:
+    upper = [*range(17, 28), *range(36, 48), 31, 35]
+    poses = [
+        np.tensordot(emotion.pose(MODEL, label), MODEL.landmark_basis, 1)[upper].ravel()
+        for label in emotion.EMOTIONS
+    ]
+    distance = np.linalg.norm(np.stack(poses)[:, None] - np.stack(poses)[None], axis=-1)
+    assert distance[np.triu_indices(len(poses), 1)].min() > 0.008  # metres, all landmarks together
+
+
+def test_rest_keeps_lips_closed_and_blinks() -> None:
+    rng = np.random.default_rng(1)
+    weights = rest.rest_weights(MODEL, LIPS, 600, rng)
+    shown = rest.add_blinks(MODEL, weights, rng)
+    assert np.abs(LIPS.opening(shown)).max() < 2e-4
+    blink = shown[:, MODEL.index("eyeBlink_L")]
+    closes = np.flatnonzero((blink[1:] > 0.5) & (blink[:-1] <= 0.5))
+    assert 2 <= len(closes) <= 12  # in 20 s
+    assert shown[:, MODEL.index("jawOpen")].std() > 0  # it breathes
+
+
+def test_same_seed_gives_the_same_corpus(
+    corpus: Path, tmp_path: Path, manifest: dict[str, Any]
+) -> None:
+    again = build_corpus(tmp_path / "again", "tiny", 0, progress=False)
+    names = ["manifest.json", "landmarks.npy", "phones.json", "identities.npy"]
+    names += sorted({s["audio"] for s in manifest["sequences"] if s["audio"]})
+    names += [t["file"] for t in manifest["topologies"]]
+    for name in names:
+        if name.endswith(".npz"):
+            with np.load(corpus / name) as a, np.load(again / name) as b:
+                assert all(np.array_equal(a[key], b[key]) for key in a)
+        else:
+            assert (corpus / name).read_bytes() == (again / name).read_bytes(), name
+    stamp = (again / "manifest.json").stat().st_mtime_ns
+    build_corpus(again, "tiny", 0, progress=False)
+    assert (again / "manifest.json").stat().st_mtime_ns == stamp  # already there: kept
+
+
+def test_build_refuses_wrong_sizes_and_foreign_folders(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="tiny, small, full"):
+        build_corpus(tmp_path / "x", "huge")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("keep me")
+    with pytest.raises(ValueError, match="not a corpus"):
+        build_corpus(tmp_path / "mine", "tiny")
+    assert (tmp_path / "mine" / "thesis.txt").read_text() == "keep me"
