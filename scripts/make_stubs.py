@@ -33,7 +33,9 @@ def generate(out: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=STUBS, help="folder to write (default: %(default)s)")
+    parser.add_argument(
+        "--out", type=Path, default=STUBS, help="folder to write (default: %(default)s)"
+    )
     generate(parser.parse_args().out)
 
 

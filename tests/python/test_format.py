@@ -12,6 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 BIN = Path(sys.executable).parent
 CPP = ("include", "src", "python/bindings", "tests/cpp", "tests/consumer")
 PYTHON = ("python", "scripts", "tests")
+REMEDY = "scripts/format mends what can be mended without thought"
 
 
 def run(tool: str, *arguments: str) -> None:
@@ -23,7 +24,9 @@ def run(tool: str, *arguments: str) -> None:
         [program, *arguments], cwd=ROOT, capture_output=True, text=True, check=False
     )
     output = result.stdout + result.stderr
-    assert result.returncode == 0, f"{tool} {' '.join(arguments[:2])} found:\n{output[-6000:]}"
+    assert result.returncode == 0, (
+        f"{tool} {' '.join(arguments[:2])} found ({REMEDY}):\n{output[-6000:]}"
+    )
 
 
 def test_cpp_is_formatted() -> None:
