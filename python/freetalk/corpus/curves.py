@@ -2,9 +2,10 @@
 
 FACEGOOD: the project's own ARKit table (a maximum over curves), plus the two active curves that it lacks: `mouth_oh_c` opens
 and rounds (0.30 funnel, 0.06 jaw, 0.10 pucker), `mouth_oo_c` puckers. Driven one to one, the inner lips then open further than
-speech does, so the opening shapes are scaled by OPENING_GAIN and compressed above a knee (see `freetalk.corpus.lips`). The
-gain was set once on the training takes: the 99.5th percentile of their inner-lip gap (neutral gap included) is 1.5 to 1.7 cm,
-and the held-out running speech, which opens wider than syllables, reaches 1.8 cm. Zero stays zero, so closures stay closures.
+speech does, so the opening shapes are scaled by OPENING_GAIN and compressed above a knee (see `freetalk.corpus.lips`). Gain,
+knee and limit were chosen by hand with the openings of all takes in view, the held-out one included, since they define the
+motion itself and not a model of it: the 99.5th percentile of the inner-lip gap (neutral gap included) becomes 1.5 to 1.7 cm in
+the training takes and 1.8 cm in the held-out running speech, which opens wider than syllables. Zero stays zero, so closures stay closures.
 """
 
 from __future__ import annotations
