@@ -12,7 +12,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from freetalk.data import OpenCorpus
-from freetalk.geometry import SurfaceOperators, cached_surface_operators
+from freetalk.geometry import SurfaceOperators, surface_operators
 
 
 @dataclass
@@ -51,11 +51,8 @@ class Placement:
         return self.scale * (vectors @ self.rotation.T)
 
     def operators(self, operators: SurfaceOperators) -> SurfaceOperators:
-        """Operators of the moved surface: all but scale and directions stays."""
-        moved = operators.scaled(self.scale)
-        rotation = self.rotation.to(operators.normals)
-        moved.normals = operators.normals @ rotation.T
-        moved.frames = operators.frames @ rotation.T
+        """Operators of the moved surface, without solving anything again."""
+        moved: SurfaceOperators = operators.scaled(self.scale).turned(self.rotation)
         return moved
 
 
@@ -94,11 +91,12 @@ def prepare_mesh(
     """A corpus face with its operators, from the disk cache where they are known."""
     device = device or torch.device("cpu")
     mesh = corpus.mesh(identity, topology)
-    operators = cached_surface_operators(
+    operators = surface_operators(
         mesh.vertices.astype(np.float64) / length_scale,
         mesh.faces,
         k=min(k_eig, len(mesh.vertices)),
-        cache_dir=str(cache_dir),
+        cache=cache_dir or True,
+        name=mesh.name,
     )
     return PreparedMesh(
         identity=identity,
