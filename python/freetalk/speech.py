@@ -1,6 +1,7 @@
 """Speech encoders (HuBERT, wav2vec 2.0) and speech features for every motion frame.
 
-Encoder frame ``i`` is centred at ``i * 320 + 200`` samples of 16 kHz sound; motion frame ``t`` happens at ``t / fps``.
+Encoder frame ``i`` is centred at ``i * 320 + 200`` samples of 16 kHz sound; motion frame ``t`` happens
+at ``t / fps`` seconds.
 """
 
 from __future__ import annotations
@@ -184,9 +185,9 @@ def encode_speech(
 ) -> Tensor:
     """Speech features for every motion frame of a clip of any length, without gradients.
 
-    Clips longer than ``options.window_s`` are encoded in overlapping windows that are cross-faded, so that memory
-    grows only with the result. With a group norm extractor (HuBERT base, tiny) the norm's statistics belong to each
-    window.
+    Clips longer than ``options.window_s`` are encoded in overlapping windows that are cross-faded, so that
+    memory grows only with the result. With a group norm extractor (HuBERT base, tiny) the norm's statistics
+    belong to each window.
 
     Args:
         encoder: the encoder, left as it was.

@@ -21,6 +21,7 @@ struct CloseFile {
 using File = std::unique_ptr<SNDFILE, CloseFile>;
 
 constexpr int64_t kBlockSamples = 65536;  // over all channels
+constexpr double kMaxMagnitude = 1e10;    // above any integer scale; also false for NaN
 const char* const kConvert =
     "; convert it to WAV or FLAC, for example with: ffmpeg -i INPUT output.wav";
 
@@ -89,9 +90,9 @@ class MonoReader {
       for (size_t c = 0; c < channels; ++c) {
         sum += frame[c];
       }
-      FREETALK_RUNTIME_CHECK(std::isfinite(sum), name_, ": holds a sample that is not a number at ",
-                             static_cast<double>(num_read_ + i) / info_.samplerate,
-                             " s; export the sound again");
+      FREETALK_RUNTIME_CHECK(std::abs(sum) < kMaxMagnitude, name_, ": the sample at ",
+                             static_cast<double>(num_read_ + i) / info_.samplerate, " s is ", sum,
+                             "; export the sound again");
       mono_[static_cast<size_t>(i)] = static_cast<float>(sum / info_.channels);
     }
     num_read_ += std::max<int64_t>(0, count);
