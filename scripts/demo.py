@@ -18,7 +18,7 @@ from freetalk import viz
 from freetalk.corpus import assets
 
 PERFORMANCES = (("neutral", 1.0), ("happy", 3.0), ("angry", 3.0))
-IDENTITY_SEED = 4
+IDENTITY_SEED = 7
 IDENTITY_STRENGTH = 0.5
 
 
@@ -47,7 +47,9 @@ def main() -> None:
         f"{emotion}\n{intensity:g}" if emotion != "neutral" else emotion
         for emotion, intensity in PERFORMANCES
     ]
-    sheet = viz.contact_sheet(animations, labels, out / "contact_sheet.png", num_columns=9)
+    sheet = viz.contact_sheet(
+        animations, labels, out / "contact_sheet.png", num_columns=9, view=viz.View(zoom=1.2)
+    )
     print(f"all of them side by side: {sheet}")
     print(f"done in {time.perf_counter() - start:.1f} s; results are in {out.resolve()}")
 

@@ -91,7 +91,7 @@ def built_in_face() -> freetalk.Mesh:
     from freetalk.corpus import mean_face
 
     vertices, faces = mean_face("face")
-    return freetalk.Mesh(vertices, faces)
+    return freetalk.Mesh(vertices, faces.tolist(), name="the built-in face")
 
 
 class Report:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 import numpy as np
 
@@ -13,12 +14,13 @@ from freetalk.cli.weights import find_weights
 def check(arguments: argparse.Namespace) -> None:
     """Reports counts, extent, unit and pose of a mesh file."""
     file = check_readable(arguments.file, "a mesh (OBJ, PLY, OFF or STL)")
-    import freetalk
+    import freetalk.geometry
+    from freetalk._native.core import load_safetensors
     from freetalk.viz import boundary_rims, part_labels
 
-    mesh = freetalk.load_mesh(file)
+    mesh: Any = freetalk.load_mesh(file)
     vertices = np.asarray(mesh.vertices)
-    faces = np.asarray(mesh.faces).astype(np.int64)
+    faces = np.asarray(mesh.faces, dtype=np.int64)
     corners = vertices[faces]
     area = np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
@@ -32,6 +34,15 @@ def check(arguments: argparse.Namespace) -> None:
     print(f"  triangles without area: {int((area <= 1e-12 * area.max()).sum())}")
     print(f"  vertices in no triangle: {int((~used).sum())}")
     print(f"  extent: {extent[0]:.4g} x {extent[1]:.4g} x {extent[2]:.4g}")
-    talker = freetalk.Talker.from_pretrained(find_weights(arguments.pretrained))
-    alignment = talker.align(mesh, unit=arguments.unit, up=arguments.up, forward=arguments.forward)
+    template = find_weights(arguments.pretrained) / "template.safetensors"
+    tensors = load_safetensors(check_readable(str(template), "weights with a template"))
+    alignment = freetalk.geometry.align_to_template(
+        vertices,
+        faces,
+        tensors["points"],
+        tensors["normals"],
+        unit=arguments.unit,
+        up=arguments.up,
+        forward=arguments.forward,
+    )
     print(f"  pose: {alignment.summary}")

@@ -15,11 +15,20 @@ class UsageError(Exception):
     """Arguments that the command does not understand."""
 
 
+class HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
+    """Help that mentions defaults where there is one to mention."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        if action.default is None or action.default is False or action.required:
+            return action.help
+        return super()._get_help_string(action)
+
+
 class Parser(argparse.ArgumentParser):
     """A parser that raises instead of leaving the process."""
 
     def __init__(self, **settings: Any) -> None:
-        super().__init__(formatter_class=argparse.ArgumentDefaultsHelpFormatter, **settings)
+        super().__init__(formatter_class=HelpFormatter, **settings)
 
     def error(self, message: str) -> NoReturn:
         """Raises :class:`UsageError` with the command's name and where to find help."""
@@ -44,7 +53,8 @@ def make_parser() -> Parser:
 
 class _Version(argparse.Action):
     def __init__(self, option_strings: list[str], dest: str, **settings: Any) -> None:
-        super().__init__(option_strings, argparse.SUPPRESS, nargs=0, help=settings.get("help"))
+        help_text = settings.get("help")
+        super().__init__(option_strings, dest, nargs=0, default=None, help=help_text)
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
         import freetalk
