@@ -121,9 +121,13 @@ class AtsTask:
             guess = self._denoise(batch, step, noise)  # the last step is pure noise
             valid = batch["valid"]
             gaps.append(
-                (self._gap(guess)[valid].cpu().numpy(), self._gap(batch["motion"])[valid].cpu().numpy())
+                (
+                    self._gap(guess)[valid].cpu().numpy(),
+                    self._gap(batch["motion"])[valid].cpu().numpy(),
+                )
             )
-        correlation = np.corrcoef(*(np.concatenate(side) for side in zip(*gaps, strict=True)))
+        guessed, true = (np.concatenate(side) for side in zip(*gaps, strict=True))
+        correlation = np.corrcoef(guessed, true)
         loss = float(np.mean(losses))
         return {"loss": loss, "opening_correlation": float(correlation[0, 1]), "score": loss}
 

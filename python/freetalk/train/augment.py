@@ -56,9 +56,9 @@ def _tilted(wave: FloatArray, rng: np.random.Generator, rate: int) -> FloatArray
 
 def _noisy(wave: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Noise of a random colour (white to brown)."""
-    noise = np.fft.rfft(rng.standard_normal(len(wave)))
-    bins = np.maximum(np.arange(len(noise)), 1)
-    noise = np.fft.irfft(noise * bins ** -rng.uniform(0, 1), n=len(wave))
+    spectrum = np.fft.rfft(rng.standard_normal(len(wave)))
+    bins = np.maximum(np.arange(len(spectrum)), 1)
+    noise = np.fft.irfft(spectrum * bins ** -rng.uniform(0, 1), n=len(wave))
     snr_db = rng.uniform(5, 40)
     level = np.sqrt(np.square(wave).mean() / max(float(np.square(noise).mean()), 1e-20))
     return (wave + noise * level * 10 ** (-snr_db / 20)).astype(np.float32)

@@ -58,7 +58,8 @@ class FeatureCache:
             _compute(corpus, sequences, encoder_dir, path, augmentations, device)
         index = json.loads((path / "index.json").read_text())
         self._copies = {
-            name: [FeatureCopy(*copy) for copy in copies] for name, copies in index["copies"].items()
+            name: [FeatureCopy(*copy) for copy in copies]
+            for name, copies in index["copies"].items()
         }
         self._array = np.load(path / "features.npy", mmap_mode="r", allow_pickle=False)
         self.width = int(self._array.shape[1])

@@ -37,7 +37,9 @@ Batch = dict[str, Any]
 class Task(Protocol):
     """What differs between the trainings."""
 
-    model: nn.Module
+    @property
+    def model(self) -> nn.Module:
+        """What is trained."""
 
     def batch(self, generator: torch.Generator) -> Batch:
         """Draws the inputs of one step."""
@@ -251,9 +253,7 @@ class Trainer:
             "best": self.best if math.isfinite(self.best) else None,
             "scores": self.scores,
         }
-        save_checkpoint(
-            self.checkpoints, self.step, tensors, self.optimizer.state_dict(), state
-        )
+        save_checkpoint(self.checkpoints, self.step, tensors, self.optimizer.state_dict(), state)
 
     def _resume(self) -> None:
         found = find_checkpoint(self.checkpoints)
@@ -290,7 +290,8 @@ class Trainer:
 
 def parameter_groups(model: nn.Module, weight_decay: float) -> list[dict[str, Any]]:
     """Decay for matrices and kernels; none for biases, norms, diffusion times and tables."""
-    decayed, spared = [], []
+    decayed: list[nn.Parameter] = []
+    spared: list[nn.Parameter] = []
     for name, parameter in model.named_parameters():
         table = any(part in name for part in ("position", "embedding", "diffusion_time"))
         (spared if parameter.ndim < 2 or table else decayed).append(parameter)

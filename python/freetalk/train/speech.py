@@ -70,9 +70,7 @@ class SpeechTask:
         self.targets = SpeechTargets(corpus, self.sampler.sequences)
         self.sources = sorted({s.source for s in self.sampler.sequences})
         self.held_out = [
-            s
-            for s in corpus.sequences("val")
-            if s.audio is not None and s.source in self.sources
+            s for s in corpus.sequences("val") if s.audio is not None and s.source in self.sources
         ]
         options = SpeechEncoderOptions.from_dict(config.model)
         self.model: SpeechModel = SpeechModel(
@@ -180,7 +178,7 @@ class SpeechTask:
         source = self._wave(sequence)
         needed = int(length * speed) + 2
         start = int(rng.integers(0, max(1, len(source) - needed + 1)))
-        piece = source[start : start + needed].astype(np.float32) / 32768
+        piece = source[start : start + needed].astype(np.float32) / np.float32(32768)
         clean = change_speed(piece, speed)[:length]
         heard = len(clean)
         clean = np.pad(clean, (0, length - heard))
