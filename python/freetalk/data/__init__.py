@@ -1,6 +1,7 @@
 """Datasets of speech and facial motion behind one interface."""
 
 from freetalk.data.dataset import EMOTIONS, NUM_LANDMARKS, FaceMesh, MotionDataset, MotionSequence
+from freetalk.data.landmarks import lip_opening
 from freetalk.data.open_corpus import OpenCorpus
 
 __all__ = [
@@ -10,4 +11,5 @@ __all__ = [
     "MotionDataset",
     "MotionSequence",
     "OpenCorpus",
+    "lip_opening",
 ]

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from freetalk.ats import Ats, AtsOptions
 from freetalk.data import NUM_LANDMARKS, MotionSequence, OpenCorpus
+from freetalk.data.landmarks import INNER_LIP_PAIRS, LIPS, LOWER_INNER_LIP, UPPER_INNER_LIP
 from freetalk.diffusion import Schedule, ScheduleOptions
 from freetalk.train.checkpoint import export_model
 from freetalk.train.config import AtsTaskOptions, TrainingConfig
@@ -22,9 +23,6 @@ from freetalk.train.speech_targets import interpolate_frames
 
 _VALIDATION_SEED = 30
 _VALIDATION_TIMESTEPS = (0.15, 0.5, 0.85, 1.0)
-_LIPS = tuple(range(48, 68))
-#: Upper and lower inner-lip landmarks that face one another.
-_INNER_LIP_PAIRS = ((61, 62, 63), (67, 66, 65))
 #: Smallest spread that a coordinate is divided by, relative to the mean one.
 _SPREAD_FLOOR = 0.15
 
@@ -160,7 +158,7 @@ class AtsTask:
             self.point_weights,
         )
         if o.opening_weight > 0:
-            upper, lower = _INNER_LIP_PAIRS
+            upper, lower = INNER_LIP_PAIRS
             gap = guess[..., upper, :] - guess[..., lower, :]
             wanted = target[..., upper, :] - target[..., lower, :]
             terms["opening"] = motion_loss(gap, wanted, batch["valid"])["loss"]
@@ -237,12 +235,12 @@ class AtsTask:
         if self.options.lip_weight == 1.0:
             return None
         weights = torch.ones(NUM_LANDMARKS)
-        weights[list(_LIPS)] = self.options.lip_weight
+        weights[list(LIPS)] = self.options.lip_weight
         return (weights / weights.mean()).to(self.device)
 
     def _gap(self, motion: Tensor) -> Tensor:
         metres = (motion * self.spread + self.mean).unflatten(-1, (NUM_LANDMARKS, 3))
-        return metres[..., 62, 1] - metres[..., 66, 1]
+        return metres[..., UPPER_INNER_LIP, 1] - metres[..., LOWER_INNER_LIP, 1]
 
 
 def _audible(sequences: list[MotionSequence]) -> list[MotionSequence]:

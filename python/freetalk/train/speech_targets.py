@@ -10,20 +10,12 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from freetalk.data import MotionSequence, OpenCorpus
+from freetalk.data import MotionSequence, OpenCorpus, lip_opening
 
 FloatArray = npt.NDArray[np.float32]
 
 #: Label of frames whose phone is not known.
 IGNORED_PHONE = -100
-UPPER_INNER_LIP = 62
-LOWER_INNER_LIP = 66
-
-
-def lip_opening(landmarks: FloatArray) -> FloatArray:
-    """Change of the vertical inner-lip gap, (T, 68, 3) m to (T,) m."""
-    opening: FloatArray = landmarks[..., UPPER_INNER_LIP, 1] - landmarks[..., LOWER_INNER_LIP, 1]
-    return opening
 
 
 class SpeechTargets:

@@ -95,9 +95,7 @@ class StmTask:
         rng = np.random.default_rng(_VALIDATION_SEED)
         sums = np.zeros(4)
         per_mesh = max(1, self.options.validation_windows // len(self._held_out_meshes))
-        still = Placement(
-            torch.eye(3, device=self.device), torch.zeros(3, device=self.device), 1.0
-        )
+        still = Placement(torch.eye(3, device=self.device), torch.zeros(3, device=self.device), 1.0)
         for mesh in self._held_out_meshes:
             for _ in range(per_mesh):
                 sequence = self.held_out.draw(rng)
@@ -114,11 +112,11 @@ class StmTask:
                     float(error[:, lips].mean()) if bool(lips.any()) else 0.0,
                     float(motion[:, lips].mean()) if bool(lips.any()) else 0.0,
                 ]
-        relative, lips = sums[0] / max(sums[1], 1e-12), sums[2] / max(sums[3], 1e-12)
+        relative, relative_lips = (float(sums[at] / max(sums[at + 1], 1e-12)) for at in (0, 2))
         return {
             "relative_error": relative,
-            "relative_lip_error": lips,
-            "score": 0.5 * (relative + lips),
+            "relative_lip_error": relative_lips,
+            "score": 0.5 * (relative + relative_lips),
         }
 
     def export(self, directory: Path, training: dict[str, Any]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -91,7 +92,7 @@ def prepare_mesh(
     """A corpus face with its operators, from the disk cache where they are known."""
     device = device or torch.device("cpu")
     mesh = corpus.mesh(identity, topology)
-    operators = surface_operators(
+    operators: Any = surface_operators(
         mesh.vertices.astype(np.float64) / length_scale,
         mesh.faces,
         k=min(k_eig, len(mesh.vertices)),
@@ -102,7 +103,7 @@ def prepare_mesh(
         identity=identity,
         topology=topology,
         positions=torch.from_numpy(mesh.vertices).to(device),
-        operators=operators.to(torch.float32, device),
+        operators=operators.to(dtype=torch.float32, device=str(device)),
         lip_mask=torch.from_numpy(mesh.lip_mask).to(device),
     )
 

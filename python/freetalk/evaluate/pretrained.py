@@ -1,0 +1,62 @@
+"""A folder of weights, as training writes it and the package ships it, opened for evaluation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from freetalk.ats import Ats, GenerateOptions, generate
+from freetalk.speech import SpeechEncoder, encode_speech
+from freetalk.stm import Stm
+
+FloatArray = npt.NDArray[np.float32]
+
+
+class SpeechToMotion:
+    """Speech encoder and ATS: samples in, landmark motion out.
+
+    Args:
+        directory: folder with ``speech`` and ``ats``.
+        num_steps: DDIM steps.
+    """
+
+    def __init__(self, directory: str | Path, num_steps: int = 50) -> None:
+        self.encoder = SpeechEncoder.from_pretrained(Path(directory) / "speech").eval()
+        self.ats = Ats.from_pretrained(Path(directory) / "ats").eval()
+        self.options = GenerateOptions(num_steps=num_steps)
+        self.fps = float(self.ats.options.fps)
+        self.emotions = tuple(self.ats.options.emotions)
+
+    def features(self, wave: FloatArray) -> torch.Tensor:
+        """Speech features at the motion's frames, (T, C)."""
+        return encode_speech(self.encoder, torch.from_numpy(wave), self.fps)
+
+    def motion(
+        self,
+        features: torch.Tensor,
+        emotion: str = "neutral",
+        intensity: float = 1.0,
+        seed: int = 0,
+    ) -> FloatArray:
+        """Landmark displacements, (T, 68, 3) m."""
+        mixture = torch.zeros(len(self.emotions))
+        mixture[self.emotions.index(emotion)] = 1.0
+        with torch.no_grad():
+            motion = generate(
+                self.ats,
+                features,
+                emotion=mixture,
+                intensity=intensity,
+                options=self.options,
+                seed=seed,
+            )
+        result: FloatArray = motion.numpy()
+        return result
+
+
+def load_stm(directory: str | Path) -> Stm:
+    """The landmarks-to-mesh network of a folder of weights."""
+    return Stm.from_pretrained(Path(directory) / "stm").eval()
