@@ -114,21 +114,23 @@ class Report:
             print(f"{'done':>9}  in {time.perf_counter() - self._start:.1f} s", flush=True)
 
     def progress(self) -> AbstractContextManager[Any]:
-        """A progress bar as a callback (done, total), or None when quiet."""
+        """A progress bar as a callback (stage, fraction), or None when quiet."""
         return nullcontext(None) if self.quiet else ProgressBar()
 
 
 class ProgressBar(AbstractContextManager["ProgressBar"]):
-    """A progress bar on a terminal, called with the work done and the whole work."""
+    """A progress bar on a terminal, called with a stage and its finished share."""
 
     def __init__(self) -> None:
         from tqdm import tqdm
 
-        self._bar = tqdm(total=100, desc="animating", unit="%", leave=False, disable=None)
+        self._bar = tqdm(total=100, unit="%", leave=False, disable=None)
 
-    def __call__(self, done: float, total: float = 1.0) -> None:
-        """Moves the bar to ``done`` of ``total``."""
-        self._bar.update(100 * done / max(total, 1e-12) - self._bar.n)
+    def __call__(self, stage: str, fraction: float) -> None:
+        """Moves the bar to ``fraction`` in [0, 1] of ``stage``."""
+        self._bar.set_description(stage, refresh=False)
+        self._bar.n = round(100 * fraction)
+        self._bar.refresh()
 
     def __exit__(self, *_: object) -> None:
         self._bar.close()

@@ -15,7 +15,7 @@ def check(arguments: argparse.Namespace) -> None:
     """Reports counts, extent, unit and pose of a mesh file."""
     file = check_readable(arguments.file, "a mesh (OBJ, PLY, OFF or STL)")
     import freetalk.geometry
-    from freetalk._native.core import load_safetensors
+    from freetalk import _native
     from freetalk.viz import boundary_rims, part_labels
 
     mesh: Any = freetalk.load_mesh(file)
@@ -35,8 +35,10 @@ def check(arguments: argparse.Namespace) -> None:
     print(f"  vertices in no triangle: {int((~used).sum())}")
     print(f"  extent: {extent[0]:.4g} x {extent[1]:.4g} x {extent[2]:.4g}")
     template = find_weights(arguments.pretrained) / "template.safetensors"
-    tensors = load_safetensors(check_readable(str(template), "weights with a template"))
-    alignment = freetalk.geometry.align_to_template(
+    tensors = _native.core.load_safetensors(
+        check_readable(str(template), "weights with a template")
+    )
+    alignment: Any = freetalk.geometry.align_to_template(
         vertices,
         faces,
         tensors["points"],

@@ -194,10 +194,21 @@ def _add_evaluate(commands: Any) -> None:
         commands, "evaluate", "evaluate:run", "measure weights on a corpus's test split"
     )
     parser.add_argument("--data", required=True, metavar="DIR", help="the corpus")
-    _add_pretrained(parser)
-    parser.add_argument("--out", metavar="JSON", help="also write the figures to this file")
-    parser.add_argument("--seed", type=seed, default=0, help="seed of the generated samples")
-    parser.add_argument("overrides", nargs="*", metavar="key=value", help=argparse.SUPPRESS)
+    parser.add_argument(
+        "--pretrained",
+        default=DEFAULT_WEIGHTS,
+        metavar="NAME",
+        help="name of installed weights, or a folder that 'freetalk train --out' wrote",
+    )
+    parts = ("stm", "ats", "emotions")
+    parser.add_argument("--parts", nargs="+", choices=parts, default=list(parts), help="what")
+    parser.add_argument("--take", default="1114_3_15", help="held-out take of recorded speech")
+    parser.add_argument(
+        "--audio", nargs="+", default=[], metavar="FILE", help="more speech, without motion"
+    )
+    parser.add_argument("--samples", type=natural, default=5, help="performances of the take")
+    parser.add_argument("--steps", type=natural, default=50, help="denoising steps")
+    parser.add_argument("--out", metavar="JSON", help="also write the scores to this file")
 
 
 def _add_corpus(commands: Any) -> None:

@@ -22,4 +22,6 @@ def run(arguments: argparse.Namespace) -> None:
     result = train.run(
         arguments.kind, arguments.config, arguments.overrides, arguments.data, arguments.out
     )
-    print(result)
+    scores = ", ".join(f"{name} {value:.4g}" for name, value in result.scores.items())
+    print(f"{result.status} at step {result.step}: {scores or 'no validation yet'}")
+    print(f"weights in {result.directory}")

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import sys
+import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -105,24 +104,17 @@ class FaceRenderer:
             if not self._view.smooth_edges:
                 self.plotter.render_window.SetMultiSamples(0)
             try:
+                _check_window(self.plotter.render_window)
                 self._mesh = self._add_face(rest)
                 self._mouth: Mouth | None = None
                 if sequence.located and self._view.fill_openings:
                     self._fill(find_cavities(rest, sequence.faces), rest)
                 aim_camera(self.plotter, rest, sequence.located, size, self._view)
                 if off_screen:
-                    self._start()
+                    self.plotter.show(auto_close=False, interactive=False)
             except BaseException:
                 self.plotter.close()
                 raise
-
-    def _start(self) -> None:
-        try:
-            self.plotter.show(auto_close=False, interactive=False)
-        except Exception as error:
-            raise RuntimeError(f"{_NO_OPENGL} ({error})") from error
-        if not self.plotter.render_window.SupportsOpenGL():
-            raise RuntimeError(_NO_OPENGL)
 
     def _add_face(self, rest: Points) -> pyvista.PolyData:
         import pyvista
@@ -263,14 +255,24 @@ _NO_OPENGL = (
 
 
 def _import_pyvista() -> Any:
-    # Without a display VTK would first try X and warn; ask for EGL, which needs none.
-    if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
     try:
         import pyvista
     except ImportError as error:
         raise RuntimeError(f"{_NO_OPENGL} ({error})") from error
     return pyvista
+
+
+def _check_window(window: Any) -> None:
+    """VTK tries X, then EGL, then OSMesa, and crashes if the last is missing too."""
+    if window.GetClassName() != "vtkOSOpenGLRenderWindow":
+        return
+    for name in ("libOSMesa.so", "libOSMesa.so.8", "libOSMesa.so.6", "osmesa.dll"):
+        try:
+            ctypes.CDLL(name)
+        except OSError:
+            continue
+        return
+    raise RuntimeError(_NO_OPENGL)
 
 
 @contextmanager
