@@ -1,0 +1,28 @@
+// A displacement sequence as few morph targets: D (T, 3V) ~ W (T, K) B (K, 3V).
+//
+// B spans the leading right singular vectors of D, from the eigenvectors of the smaller Gram matrix
+// (D Dt, or Dt D when 3V < T). The rest pose stays the base shape: D is not centred.
+#pragma once
+
+#include <ATen/core/Tensor.h>
+
+#include <cstdint>
+
+namespace freetalk::animation {
+
+struct MorphBasis {
+  at::Tensor
+      targets;  ///< (K, V, 3) float32, scaled so that the largest |weight| of each target is 1
+  at::Tensor weights;      ///< (T, K) float32 in [-1, 1]
+  double max_error = 0.0;  ///< largest distance of a vertex from its displacement over all frames
+};
+
+/// The fewest leading targets whose largest vertex error is within `tolerance`, or `max_targets` of
+/// them.
+///
+/// At most 512 frames, evenly spread, enter the Gram matrix; all frames are then fitted and
+/// measured. Memory beyond the result: blocks of columns.
+/// @param displacements (T, V, 3) float32 on the CPU
+MorphBasis morph_basis(const at::Tensor& displacements, double tolerance, int64_t max_targets);
+
+}  // namespace freetalk::animation

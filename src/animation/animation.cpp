@@ -1,0 +1,88 @@
+#include "freetalk/animation/animation.h"
+
+#include <ATen/ATen.h>
+#include <nlohmann/json.hpp>
+
+#include <algorithm>
+#include <cctype>
+#include <cmath>
+
+#include "freetalk/core/error.h"
+#include "gltf.h"
+#include "npz_animation.h"
+#include "sequence.h"
+
+namespace freetalk::animation {
+namespace {
+
+constexpr const char* kKnown =
+    ".npz, .glb, .gltf, folder/*.obj or folder/*.ply (.mp4 through the Python package)";
+
+std::string extension_of(const std::filesystem::path& path) {
+  std::string extension = path.extension().string();
+  if (!extension.empty()) extension.erase(0, 1);
+  std::transform(extension.begin(), extension.end(), extension.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  return extension;
+}
+
+bool is_pattern(const std::filesystem::path& path) { return path.stem() == "*"; }
+
+}  // namespace
+
+void SaveOptions::check() const {
+  static const std::vector<std::string> known = {"", "npz", "glb", "gltf", "obj", "ply"};
+  FREETALK_CHECK(std::find(known.begin(), known.end(), format) != known.end(), "unknown format '",
+                 format, "'; known are npz, glb, gltf, obj, ply");
+  FREETALK_CHECK(max_morph_targets >= 1 && max_morph_targets <= 1024,
+                 "max_morph_targets must be 1 ... 1024, found ", max_morph_targets);
+  FREETALK_CHECK(morph_tolerance_mm > 0, "morph_tolerance_mm must be positive, found ",
+                 morph_tolerance_mm);
+}
+
+Eigen::MatrixXd Animation::vertices_at(int64_t frame_index) const {
+  FREETALK_CHECK(frame_index >= 0 && frame_index < num_frames(), "there is no frame ", frame_index,
+                 "; the animation has ", num_frames());
+  const auto moved = displacements[frame_index].contiguous();
+  using Rows = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;
+  return mesh.vertices +
+         Eigen::Map<const Rows>(moved.data_ptr<float>(), moved.size(0), 3).cast<double>();
+}
+
+void Animation::check() const {
+  FREETALK_CHECK(displacements.defined() && displacements.dim() == 3 && displacements.size(0) > 0 &&
+                     displacements.size(2) == 3,
+                 "displacements must be (T, V, 3) with T > 0");
+  FREETALK_CHECK(displacements.size(1) == mesh.num_vertices(), "displacements move ",
+                 displacements.size(1), " vertices; the mesh has ", mesh.num_vertices());
+  FREETALK_CHECK(displacements.scalar_type() == at::kFloat && displacements.device().is_cpu() &&
+                     displacements.is_contiguous(),
+                 "displacements must be contiguous float32 on the CPU");
+  FREETALK_CHECK(std::isfinite(fps) && fps > 0, "fps must be positive, found ", fps);
+  FREETALK_CHECK(std::isfinite(frame.metres_per_unit) && frame.metres_per_unit > 0,
+                 "metres_per_unit must be positive, found ", frame.metres_per_unit);
+  FREETALK_CHECK(nlohmann::json::parse(metadata_json, nullptr, false).is_object(),
+                 "metadata must be a JSON object, found ", metadata_json);
+}
+
+SaveReport Animation::save(const std::filesystem::path& path, const SaveOptions& options) const {
+  options.check();
+  check();
+  std::string format = options.format.empty() ? extension_of(path) : options.format;
+  if (format == "obj" || format == "ply") {
+    FREETALK_CHECK(is_pattern(path) || extension_of(path) != format, path.string(),
+                   ": a sequence has one file a frame; give a folder, ",
+                   (path.parent_path() / path.stem() / "*").string(), ".", format);
+    return save_sequence(is_pattern(path) ? path.parent_path() : path, format, *this);
+  }
+  FREETALK_CHECK(format == "npz" || format == "glb" || format == "gltf", path.string(),
+                 ": can't tell the format from '", path.extension().string(), "'; known are ",
+                 kKnown);
+  FREETALK_CHECK(extension_of(path) == format, path.string(), ": format ", format,
+                 " needs a path ending in .", format);
+  if (format != "npz") return save_gltf(path, *this, options);
+  save_npz(path, *this);
+  return SaveReport{"npz"};
+}
+
+}  // namespace freetalk::animation

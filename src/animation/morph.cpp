@@ -1,0 +1,116 @@
+#include "freetalk/animation/morph.h"
+
+#include <ATen/ATen.h>
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "freetalk/core/error.h"
+
+namespace freetalk::animation {
+namespace {
+
+constexpr int64_t kColumns = 3 * 2048;  // of D at once
+constexpr int64_t kGramFrames = 512;
+constexpr int64_t kRankStep = 2;  // targets added at once
+
+/// (K, 3V) double orthonormal rows spanning the leading right singular vectors of D, K <=
+/// max_targets.
+at::Tensor right_singular_vectors(const at::Tensor& motion, int64_t max_targets) {
+  const int64_t columns = motion.size(1);
+  at::Tensor sample = motion;
+  if (motion.size(0) > kGramFrames) {
+    sample = motion.index_select(
+        0, at::linspace(0, motion.size(0) - 1, kGramFrames, at::kDouble).round().to(at::kLong));
+  }
+  const int64_t rows = sample.size(0);
+  const bool by_frames = rows <= columns;
+  auto gram = at::zeros({std::min(rows, columns), std::min(rows, columns)}, at::kDouble);
+  if (by_frames) {
+    for (int64_t start = 0; start < columns; start += kColumns) {
+      const auto block =
+          sample.slice(1, start, std::min(start + kColumns, columns)).to(at::kDouble);
+      gram += block.matmul(block.t());
+    }
+  } else {
+    const auto block = sample.to(at::kDouble);
+    gram = block.t().matmul(block);
+  }
+  const auto [values, vectors] = at::linalg_eigh(gram);  // ascending
+  const double floor = 1e-12 * std::max(values.max().item<double>(), 1e-300);
+  const int64_t rank = (values > floor).sum().item<int64_t>();
+  const int64_t count = std::min(rank, max_targets);
+  const auto leading =
+      vectors.slice(1, vectors.size(1) - count).flip(1).t().contiguous();  // (K, n)
+  if (!by_frames) return leading;
+  const auto scale = values.slice(0, values.size(0) - count).flip(0).sqrt();
+  auto basis = at::empty({count, columns}, at::kDouble);
+  for (int64_t start = 0; start < columns; start += kColumns) {
+    const int64_t stop = std::min(start + kColumns, columns);
+    basis.slice(1, start, stop)
+        .copy_(leading.matmul(sample.slice(1, start, stop).to(at::kDouble)) / scale.view({-1, 1}));
+  }
+  return basis;
+}
+
+/// Calls visit(start, stop) for blocks of whole vertices, about a million frames x vertices each.
+template <class Visit>
+void for_blocks(const at::Tensor& motion, const Visit& visit) {
+  const int64_t columns = motion.size(1);
+  const int64_t step = 3 * std::max<int64_t>(1, (int64_t{1} << 20) / motion.size(0));
+  for (int64_t start = 0; start < columns; start += step) {
+    visit(start, std::min(start + step, columns));
+  }
+}
+
+/// Largest vertex error that `rank` targets leave in columns start ... stop.
+double block_error(const at::Tensor& motion, const at::Tensor& weights, const at::Tensor& basis,
+                   int64_t rank, int64_t start, int64_t stop) {
+  const auto rest = at::addmm(motion.slice(1, start, stop), weights.slice(1, 0, rank),
+                              basis.slice(0, 0, rank).slice(1, start, stop), 1, -1);
+  return std::sqrt(rest.view({rest.size(0), -1, 3}).square().sum(-1).max().item<double>());
+}
+
+}  // namespace
+
+MorphBasis morph_basis(const at::Tensor& displacements, double tolerance, int64_t max_targets) {
+  FREETALK_CHECK(displacements.dim() == 3 && displacements.size(2) == 3 &&
+                     displacements.scalar_type() == at::kFloat && displacements.size(0) > 0,
+                 "morph_basis: displacements must be (T, V, 3) float32 with T > 0");
+  FREETALK_CHECK(tolerance > 0 && max_targets >= 1,
+                 "morph_basis: tolerance and max_targets must be positive");
+  const int64_t frames = displacements.size(0), vertices = displacements.size(1);
+  const auto motion = displacements.reshape({frames, 3 * vertices});
+  const auto full = right_singular_vectors(motion, max_targets);
+  auto weights = at::zeros({frames, full.size(0)}, at::kDouble);
+  for (int64_t start = 0; start < 3 * vertices; start += kColumns) {
+    const int64_t stop = std::min(start + kColumns, 3 * vertices);
+    weights += motion.slice(1, start, stop).to(at::kDouble).matmul(full.slice(1, start, stop).t());
+  }
+  const auto basis = full.to(at::kFloat);
+  const auto weights32 = weights.to(at::kFloat);
+  int64_t rank = 0;
+  for_blocks(motion, [&](int64_t start, int64_t stop) {
+    while (rank < full.size(0) &&
+           block_error(motion, weights32, basis, rank, start, stop) > tolerance) {
+      rank = std::min(rank + kRankStep, full.size(0));
+    }
+  });
+  MorphBasis result;
+  weights = weights.slice(1, 0, rank);
+  const auto scale =
+      rank > 0 ? std::get<0>(weights.abs().max(0)).clamp_min(1e-30) : at::ones({0}, at::kDouble);
+  result.weights = (weights / scale).to(at::kFloat).contiguous();
+  result.targets = (full.slice(0, 0, rank) * scale.view({-1, 1}))
+                       .to(at::kFloat)
+                       .reshape({rank, vertices, 3})
+                       .contiguous();
+  for_blocks(motion, [&](int64_t start, int64_t stop) {
+    result.max_error =
+        std::max(result.max_error, block_error(motion, weights32, basis, rank, start, stop));
+  });
+  return result;
+}
+
+}  // namespace freetalk::animation

@@ -1,0 +1,74 @@
+#include "sequence.h"
+
+#include <unistd.h>
+
+#include <cstdio>
+#include <system_error>
+
+#include "freetalk/core/error.h"
+#include "freetalk/geometry/mesh.h"
+
+namespace freetalk::animation {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::string frame_name(int64_t index, const std::string& extension) {
+  char digits[32];
+  std::snprintf(digits, sizeof digits, "frame_%05lld", static_cast<long long>(index));
+  return std::string(digits) + "." + extension;
+}
+
+/// A folder that goes with everything in it when the scope ends.
+class TemporaryFolder {
+ public:
+  explicit TemporaryFolder(fs::path path) : path_(std::move(path)) {
+    fs::remove_all(path_);
+    fs::create_directories(path_);
+  }
+  ~TemporaryFolder() {
+    std::error_code ignored;
+    fs::remove_all(path_, ignored);
+  }
+  TemporaryFolder(const TemporaryFolder&) = delete;
+  TemporaryFolder& operator=(const TemporaryFolder&) = delete;
+  const fs::path& path() const { return path_; }
+
+ private:
+  fs::path path_;
+};
+
+}  // namespace
+
+SaveReport save_sequence(const fs::path& folder, const std::string& extension,
+                         const Animation& animation) {
+  const fs::path target = fs::absolute(folder).lexically_normal();
+  const fs::path clean = target.has_filename() ? target : target.parent_path();
+  try {
+    FREETALK_RUNTIME_CHECK(!fs::exists(clean) || fs::is_directory(clean), folder.string(),
+                           ": is a file; give a folder for the frames");
+    const std::string hidden = core::join(".", clean.filename().string(), ".", ::getpid());
+    const TemporaryFolder temporary(clean.parent_path() / hidden);
+    geometry::Mesh frame = animation.mesh;
+    for (int64_t t = 0; t < animation.num_frames(); ++t) {
+      frame.vertices = animation.vertices_at(t);
+      geometry::save_mesh(temporary.path() / frame_name(t, extension), frame);
+    }
+    fs::create_directories(clean);
+    for (int64_t t = 0; t < animation.num_frames(); ++t) {
+      const std::string name = frame_name(t, extension);
+      fs::rename(temporary.path() / name, clean / name);
+    }
+    for (int64_t t = animation.num_frames(); fs::remove(clean / frame_name(t, extension)); ++t) {
+    }
+  } catch (const fs::filesystem_error& error) {
+    FREETALK_RUNTIME_CHECK(false, folder.string(), ": can't be written (", error.code().message(),
+                           "); choose another folder");
+  }
+  SaveReport report;
+  report.format = extension;
+  report.num_files = animation.num_frames();
+  return report;
+}
+
+}  // namespace freetalk::animation
