@@ -47,7 +47,8 @@ void bind_audio(py::module_& m) {
            })
       .def(py::pickle(
           [](const py::object& self) {
-            return py::make_tuple(samples_view(self).attr("copy")(), self.attr("sample_rate_hz"));
+            const py::object samples = samples_view(self).attr("copy")();
+            return py::make_tuple(samples, self.cast<const audio::Audio&>().sample_rate_hz);
           },
           [](const py::tuple& state) {
             return audio_from_array(state[0].cast<py::array>(), state[1].cast<int64_t>());

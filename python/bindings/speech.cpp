@@ -67,9 +67,9 @@ void bind_features(py::module_& m) {
       "encode_speech",
       [](const std::shared_ptr<speech::SpeechEncoderImpl>& encoder, const at::Tensor& samples,
          double fps, const speech::EncodeOptions& options,
-         const std::function<void(double)>& progress) {
+         const std::optional<std::function<void(double)>>& progress) {
         speech::SpeechEncoder holder(encoder);
-        return speech::encode_speech(holder, samples, fps, options, progress);
+        return speech::encode_speech(holder, samples, fps, options, progress.value_or(nullptr));
       },
       py::arg("encoder"), py::arg("samples"), py::arg("fps"), py::kw_only(), py::arg("options"),
       py::arg("progress") = py::none(), Release());

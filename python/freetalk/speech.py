@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -201,5 +201,9 @@ def encode_speech(
     """
     wave = samples if isinstance(samples, Tensor) else torch.tensor(samples)
     return _native.speech.encode_speech(
-        encoder._impl, wave, fps, options=options or EncodeOptions(), progress=progress
+        encoder._impl,
+        wave,
+        fps,
+        options=options or EncodeOptions(),
+        progress=cast("Any", progress),
     )
