@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,17 +54,15 @@ def animate(
     }
     if hasattr(arguments, "steps"):
         options["num_steps"] = arguments.steps
-    with report.progress() as progress:
-        animation = talker.animate(audio, mesh, **options, progress=progress)
-    metadata = animation.metadata
-    summary = metadata.get("alignment", {}).get("summary", "")
-    if summary:
-        report.line("mesh", summary)
-    for notice in metadata.get("notices", []):
-        report.line("note", notice)
-    frames, duration = animation.num_frames, animation.num_frames / animation.fps
-    text = f"{frames} frames, {duration:.2f} s, {arguments.emotion}, seed {arguments.seed}"
-    report.line("animated", text)
+    animation = talker.animate(audio, mesh, **options, progress=not report.quiet)
+    found = talker.report
+    assert found is not None
+    report.line("mesh", f"{found.alignment.summary}; {found.parts}", timed=False)
+    for notice in found.notices:
+        report.line("note", notice, timed=False)
+    stages = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in found.timings.items())
+    text = f"{animation.num_frames} frames, {animation.duration_s:.2f} s, {arguments.emotion}"
+    report.line("animated", f"{text} ({stages})")
     return animation
 
 
@@ -101,39 +98,18 @@ class Report:
         self.quiet = quiet
         self._start = self._last = time.perf_counter()
 
-    def line(self, what: str, text: str) -> None:
-        """Prints a step and the seconds since the step before."""
+    def line(self, what: str, text: str, timed: bool = True) -> None:
+        """Prints a step and, if timed, the seconds since the step before."""
         now = time.perf_counter()
+        took = f"  [{now - self._last:.1f} s]" if timed else ""
         if not self.quiet:
-            print(f"{what:>9}  {text}  [{now - self._last:.1f} s]", flush=True)
-        self._last = now
+            print(f"{what:>9}  {text}{took}", flush=True)
+        self._last = now if timed else self._last
 
     def total(self) -> None:
         """Prints the time of everything."""
         if not self.quiet:
             print(f"{'done':>9}  in {time.perf_counter() - self._start:.1f} s", flush=True)
-
-    def progress(self) -> AbstractContextManager[Any]:
-        """A progress bar as a callback (stage, fraction), or None when quiet."""
-        return nullcontext(None) if self.quiet else ProgressBar()
-
-
-class ProgressBar(AbstractContextManager["ProgressBar"]):
-    """A progress bar on a terminal, called with a stage and its finished share."""
-
-    def __init__(self) -> None:
-        from tqdm import tqdm
-
-        self._bar = tqdm(total=100, unit="%", leave=False, disable=None)
-
-    def __call__(self, stage: str, fraction: float) -> None:
-        """Moves the bar to ``fraction`` in [0, 1] of ``stage``."""
-        self._bar.set_description(stage, refresh=False)
-        self._bar.n = round(100 * fraction)
-        self._bar.refresh()
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.close()
 
 
 def _describe_inputs(audio: freetalk.Audio, mesh: freetalk.Mesh, mesh_file: Path | None) -> str:
