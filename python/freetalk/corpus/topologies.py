@@ -315,6 +315,42 @@ TOPOLOGIES: tuple[TopologySpec, ...] = (
         "narrow face, about 2,500 vertices, holes, tears and 0.2 mm noise",
         lambda m: damage(m, decimate(m, _narrow(m), 2500), 6, 0.012, 2e-4, 40, 11),
     ),
+    TopologySpec(
+        "narrow_dec900",
+        "train",
+        "narrow face, decimated to about 900 vertices",
+        lambda m: decimate(m, _narrow(m), 900),
+    ),
+    TopologySpec(
+        "face_dec900",
+        "train",
+        "face, decimated to about 900 vertices",
+        lambda m: decimate(m, crop(m, "face"), 900),
+    ),
+    TopologySpec(
+        "head_dec1000",
+        "train",
+        "face, head and neck split along the other diagonal, decimated to about 1,000 vertices",
+        lambda m: decimate(m, crop(m, "head", True), 1000),
+    ),
+    TopologySpec(
+        "sockets_dec1500",
+        "train",
+        "head with sockets, decimated to about 1,500 vertices",
+        lambda m: decimate(m, crop(m, "sockets"), 1500),
+    ),
+    TopologySpec(
+        "face_iso1000",
+        "train",
+        "face, isotropic remeshing, about 1,000 vertices",
+        lambda m: remesh(m, crop(m, "face", True), 1000),
+    ),
+    TopologySpec(
+        "narrow_torn1000",
+        "train",
+        "narrow face, about 1,000 vertices, holes, tears and 0.2 mm noise",
+        lambda m: damage(m, decimate(m, _narrow(m), 1000), 5, 0.012, 2e-4, 20, 13),
+    ),
     TopologySpec("narrow", "train", "narrow face, original vertices, quads split 0-2", _narrow),
     TopologySpec(
         "sockets_dec5000",

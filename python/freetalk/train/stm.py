@@ -26,8 +26,8 @@ from freetalk.train.stm_meshes import (
 
 _VALIDATION_SEED = 40
 _VALIDATION_MESHES = 4
-#: Mean square displacement (m^2) below which a window counts as this much: 0.5 mm.
-_RELATIVE_FLOOR = 0.0005**2
+#: Mean square displacement (m^2) below which a window counts as this much: 1 mm.
+_RELATIVE_FLOOR = 0.001**2
 
 
 class StmTask:
@@ -49,8 +49,8 @@ class StmTask:
         self._landmark_basis, determined = corpus.landmark_basis()
         self._drawable = np.flatnonzero(determined)
         self.model = Stm(StmOptions.from_dict(config.model)).to(device)
-        self.meshes = self._prepare("train", self.options.num_meshes)
-        self._held_out_meshes = self._prepare("val", _VALIDATION_MESHES)
+        self.meshes = self._prepare("train", self.options.num_meshes, self.options.max_vertices)
+        self._held_out_meshes = self._prepare("val", _VALIDATION_MESHES, 0)
 
     def batch(self, generator: torch.Generator) -> dict[str, Any]:
         """Per item a face, its place, and a window of motion."""
@@ -172,13 +172,13 @@ class StmTask:
             self.corpus.landmarks(sequence, start, start + frames),
         )
 
-    def _prepare(self, split: str, count: int) -> list[PreparedMesh]:
+    def _prepare(self, split: str, count: int, max_vertices: int) -> list[PreparedMesh]:
         options = self.model.options
         return prepare_meshes(
             self.corpus,
             split,
             count,
-            self.options.max_vertices,
+            max_vertices,
             options.length_scale,
             options.k_eig,
             self.options.operator_cache,
