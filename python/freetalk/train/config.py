@@ -140,6 +140,9 @@ class StmTaskOptions:
         lip_weight: weight of vertices of the lips; 1 weighs all alike (the paper).
         relative: divide each window's loss by the target's own mean square (with a floor), so that
             small motions count as much as large ones; the paper does not.
+        error_weight: weight of an extra term, the mean vertex error relative to the mean motion: it
+            counts the many vertices that move little, which squares pass over; 0 disables (the
+            paper).
         validation_windows: windows on unseen meshes that are scored.
     """
 
@@ -156,6 +159,7 @@ class StmTaskOptions:
     lambda_acceleration: float = 0.2
     lip_weight: float = 1.0
     relative: bool = False
+    error_weight: float = 0.0
     validation_windows: int = 8
 
     def check(self) -> None:

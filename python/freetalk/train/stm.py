@@ -150,12 +150,19 @@ class StmTask:
         terms = motion_loss(
             prediction, target, None, o.lambda_velocity, o.lambda_acceleration, weights
         )
-        terms["error_mm"] = 1000 * (prediction - target).detach().norm(dim=-1).mean()
+        error = prediction - target
+        terms["error_mm"] = 1000 * error.detach().norm(dim=-1).mean()
         if o.relative:
             size = target.square().sum(dim=-1).mean().clamp_min(_RELATIVE_FLOOR)
             terms["loss"] = terms["loss"] / size
         else:
             terms["loss"] = terms["loss"] * 1e6  # mm^2: keeps gradients clear of Adam's epsilon
+        if o.error_weight > 0:
+            norms = (error.square().sum(dim=-1) + _NORM_FLOOR**2).sqrt()
+            norms = norms if weights is None else norms * weights
+            motion = target.norm(dim=-1).mean().clamp_min(_MOTION_FLOOR)
+            terms["relative_error"] = norms.mean() / motion
+            terms["loss"] = terms["loss"] + o.error_weight * terms["relative_error"]
         return terms
 
     def _window(
