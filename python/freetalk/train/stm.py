@@ -28,6 +28,10 @@ _VALIDATION_SEED = 40
 _VALIDATION_MESHES = 4
 #: Mean square displacement (m^2) below which a window counts as this much: 1 mm.
 _RELATIVE_FLOOR = 0.001**2
+#: Rounds the cone of the vertex error's norm off (m).
+_NORM_FLOOR = 1e-5
+#: Mean displacement (m) below which a window counts as this much.
+_MOTION_FLOOR = 2e-4
 
 
 class StmTask:
