@@ -19,7 +19,7 @@ constexpr double kWeight[kCount] = {0.3, 1, 1, 1, 1, 1, 0.3};
 const Eigen::Vector3d kJoint(0.0, -0.003, -0.076);  // m, between the jaw joints
 constexpr double kYawPerMetre = 4.8;                // swing of a sideways slide, rad/m
 constexpr double kHuber = 0.002;                    // m
-constexpr double kSlidePrior = 2.0;                 // the jaw opens more readily than it slides
+constexpr double kSlidePrior = 0.2;                 // the jaw opens more readily than it slides
 constexpr double kMinOpen = -0.017, kMaxOpen = 0.70, kMaxSlide = 0.015;
 
 using Pose = Eigen::Vector3d;  // theta, x, z

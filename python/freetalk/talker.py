@@ -1,0 +1,155 @@
+"""Speech and a face mesh in, a talking face out."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from freetalk import _native
+from freetalk.animation import Animation
+from freetalk.audio import Audio, load_audio
+from freetalk.geometry import Alignment, AlignOptions, Mesh, load_mesh
+
+TalkerOptions = _native.talker.TalkerOptions
+Report = _native.talker.Report
+
+PRETRAINED = Path(__file__).resolve().parent / "pretrained"
+"""Folder of the weights that ship with the package."""
+
+Progress = Callable[[float, float], None]
+
+__all__ = ["PRETRAINED", "Report", "Talker", "TalkerOptions"]
+
+_SHARES = {"align": 0.05, "operators": 0.15, "speech": 0.10, "motion": 0.35, "surface": 0.35}
+
+
+class Talker:
+    """The whole pipeline: load once, animate any mesh with any speech.
+
+    Use :meth:`from_pretrained`. After :meth:`animate`, :attr:`report` says what was guessed and measured.
+    """
+
+    def __init__(self, native: Any) -> None:
+        self._native = native
+        self._report: Report | None = None
+
+    @classmethod
+    def from_pretrained(
+        cls, name_or_dir: str | os.PathLike[str] = "open-small", *, device: str | None = None
+    ) -> Talker:
+        """Loads weights.
+
+        Args:
+            name_or_dir: a folder with talker.json, or the name of weights that ship with the package.
+            device: such as "cpu" or "cuda"; by default the GPU if there is one.
+
+        Raises:
+            ValueError: no such weights.
+            RuntimeError: a file is missing, broken or does not fit.
+        """
+        folder = Path(name_or_dir)
+        if not folder.is_dir() and (PRETRAINED / folder / "talker.json").is_file():
+            folder = PRETRAINED / folder
+        if not folder.is_dir():
+            known = ", ".join(sorted(file.parent.name for file in PRETRAINED.glob("*/talker.json")))
+            raise ValueError(
+                f"no weights '{name_or_dir}': neither a folder nor one of: {known or 'none shipped'}"
+            )
+        return cls(_native.talker.Talker.from_pretrained(folder, device))
+
+    @property
+    def emotions(self) -> list[str]:
+        """Names that ``emotion=`` accepts, beside aliases."""
+        emotions: list[str] = self._native.emotions
+        return emotions
+
+    @property
+    def device(self) -> str:
+        """Where the models are."""
+        return self._native.device
+
+    @property
+    def report(self) -> Report | None:
+        """Alignment, parts, notices and timings of the last :meth:`animate`."""
+        return self._report
+
+    def align(
+        self,
+        mesh: Mesh | str | os.PathLike[str],
+        *,
+        unit: str = "auto",
+        up: str = "auto",
+        forward: str = "auto",
+    ) -> Alignment:
+        """How a mesh lies relative to the canonical frame: unit, axes, similarity, residual."""
+        options = AlignOptions(unit=unit, up=up, forward=forward)
+        return self._native.align(_mesh(mesh), options)
+
+    def animate(
+        self,
+        audio: Audio | str | os.PathLike[str],
+        mesh: Mesh | str | os.PathLike[str],
+        *,
+        progress: bool | Progress | None = True,
+        **options: Any,
+    ) -> Animation:
+        """Makes a mesh speak.
+
+        Args:
+            audio: speech, or the path of a recording.
+            mesh: face or head, or the path of an OBJ, PLY, OFF or STL file.
+            progress: a progress bar on a terminal, nothing, or a callback (done, total).
+            options: fields of ``TalkerOptions``: emotion, intensity, fps, seed, num_steps, eta, unit, up,
+                forward ...
+
+        Returns:
+            round(duration * fps) frames in the mesh's own unit, axes and vertex order.
+
+        Raises:
+            ValueError: unknown emotion (the message lists the known), option out of range, empty input.
+            RuntimeError: a file cannot be read.
+        """
+        wanted = TalkerOptions(**options)
+        sound = audio if isinstance(audio, Audio) else load_audio(audio)
+        surface = _mesh(mesh)
+        with _Progress(progress) as bar:
+            native, self._report = self._native.animate(sound, surface, wanted, bar.update)
+        return Animation._wrap(native)
+
+
+def _mesh(mesh: Mesh | str | os.PathLike[str]) -> Mesh:
+    return mesh if isinstance(mesh, Mesh) else load_mesh(mesh)
+
+
+class _Progress:
+    """Stages of the native pipeline as one bar or one callback."""
+
+    def __init__(self, progress: bool | Progress | None) -> None:
+        self._callback = progress if callable(progress) else None
+        self._bar: Any = None
+        if progress is True:
+            from tqdm import tqdm
+
+            self._bar = tqdm(total=1.0, desc="animating", leave=False, disable=None)
+            self._bar.bar_format = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}"
+
+    def __enter__(self) -> _Progress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+    def update(self, stage: str, fraction: float) -> None:
+        """Called by the native pipeline."""
+        names = list(_SHARES)
+        before = sum(_SHARES[name] for name in names[: names.index(stage)])
+        done = before + _SHARES[stage] * fraction
+        if self._callback is not None:
+            self._callback(done, 1.0)
+        if self._bar is not None:
+            self._bar.set_description(stage, refresh=False)
+            self._bar.n = done
+            self._bar.refresh()
