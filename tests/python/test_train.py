@@ -1,0 +1,348 @@
+"""Training: the loss is the paper's, a run that stops goes on as if it had not, mistakes are named."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from mini_corpus import write_mini_corpus
+
+from freetalk.ats import Ats
+from freetalk.data import OpenCorpus
+from freetalk.speech import SpeechEncoder
+from freetalk.stm import Stm
+from freetalk.train import load_config, motion_loss, run
+from freetalk.train.augment import augment_wave, change_speed
+from freetalk.train.loop import step_seed
+from freetalk.train.sampling import SequenceSampler
+from freetalk.train.speech_targets import SpeechTargets, log_mel
+from freetalk.train.stm_meshes import Placement, random_placement
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+# Enough to be quick on any machine, and a fixed sum order.
+QUICK = ["loop.threads=1", "loop.device=cpu"]
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_mini_corpus(tmp_path_factory.mktemp("train") / "corpus")
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FREETALK_CACHE", str(tmp_path_factory.getbasetemp() / "operators"))
+
+
+@pytest.fixture(scope="module")
+def speech(corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("speech")
+    run("speech", CONFIGS / "speech_smoke.yaml", [*QUICK, "loop.max_steps=2"], corpus, out)
+    return out / "speech"
+
+
+def weights(directory: Path) -> dict[str, torch.Tensor]:
+    from freetalk import _native
+
+    return dict(_native.core.load_safetensors(str(directory / "model.safetensors")))
+
+
+# Eq. 15-16
+
+
+def test_motion_loss_of_a_known_motion() -> None:
+    # One point whose error is e_t = t^2 along x: velocities 1, 3, 5, accelerations 2, 2.
+    target = torch.zeros(1, 4, 1, 3)
+    prediction = target.clone()
+    prediction[0, :, 0, 0] = torch.tensor([0.0, 1.0, 4.0, 9.0])
+    terms = motion_loss(prediction, target, None, 0.5, 0.2)
+    assert terms["position"].item() == pytest.approx((0 + 1 + 16 + 81) / 4)
+    assert terms["velocity"].item() == pytest.approx((1 + 9 + 25) / 3)
+    assert terms["acceleration"].item() == pytest.approx(4.0)
+    assert terms["loss"].item() == pytest.approx(98 / 4 + 0.5 * 35 / 3 + 0.2 * 4)
+
+
+def test_motion_loss_is_three_times_the_mean_square() -> None:
+    prediction, target = torch.randn(2, 5, 7, 3), torch.randn(2, 5, 7, 3)
+    expected = 3 * torch.nn.functional.mse_loss(prediction, target)
+    assert motion_loss(prediction, target)["loss"].item() == pytest.approx(
+        expected.item(), rel=1e-5
+    )
+
+
+def test_motion_loss_ignores_padding() -> None:
+    prediction, target = torch.randn(1, 6, 4, 3), torch.randn(1, 6, 4, 3)
+    padded = [torch.cat([x, 100 * torch.randn(1, 3, 4, 3)], dim=1) for x in (prediction, target)]
+    valid = torch.arange(9)[None] < 6
+    short = motion_loss(prediction, target, None, 0.3, 0.1)
+    long = motion_loss(*padded, valid, 0.3, 0.1)
+    for name, value in short.items():
+        assert long[name].item() == pytest.approx(value.item(), rel=1e-5)
+
+
+def test_motion_loss_weights_points() -> None:
+    prediction, target = torch.zeros(1, 3, 2, 3), torch.zeros(1, 3, 2, 3)
+    prediction[:, :, 1, 0] = 1.0
+    weighted = motion_loss(prediction, target, point_weights=torch.tensor([0.5, 1.5]))
+    assert weighted["loss"].item() == pytest.approx(0.75)
+
+
+# Configuration
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda p: p.stem)
+def test_shipped_configurations_are_valid(path: Path) -> None:
+    from freetalk.ats import AtsOptions
+    from freetalk.speech import SpeechEncoderOptions
+    from freetalk.stm import StmOptions
+
+    kind = path.stem.split("_")[0]
+    config = load_config(kind, path)
+    {"ats": AtsOptions, "stm": StmOptions, "speech": SpeechEncoderOptions}[kind].from_dict(
+        config.model
+    )
+
+
+def test_overrides_win_and_unknown_keys_name_the_nearest() -> None:
+    path = CONFIGS / "ats_smoke.yaml"
+    assert load_config("ats", path, ["loop.batch_size=7"]).loop.batch_size == 7
+    with pytest.raises(ValueError, match=r"unknown option 'bach_size'; did you mean 'batch_size'"):
+        load_config("ats", path, ["loop.bach_size=7"])
+    with pytest.raises(ValueError, match=r"task\.lip_weight = 'much' is no float"):
+        load_config("ats", path, ["task.lip_weight=much"])
+    with pytest.raises(ValueError, match=r"lr_schedule must be one of cosine, constant"):
+        load_config("ats", path, ["loop.lr_schedule=step"])
+    with pytest.raises(ValueError, match=r"unknown training 'xyz'; known: ats, stm, speech"):
+        load_config("xyz", path)
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.yaml"):
+        load_config("ats", "nowhere.yaml")
+
+
+def test_model_options_are_checked_by_the_model(corpus: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="encoder_width"):
+        run("stm", CONFIGS / "stm_smoke.yaml", ["model.encoder_widht=8"], corpus, tmp_path)
+
+
+# Parts
+
+
+def test_sampler_keeps_the_shares_of_the_sources(corpus: Path) -> None:
+    sequences = OpenCorpus(corpus).sequences()
+    sampler = SequenceSampler(sequences, {"facegood": 3.0, "rom": 1.0})
+    rng = np.random.default_rng(0)
+    drawn = [sampler.draw(rng).source for _ in range(4000)]
+    # 4000 draws of probability 0.75: standard deviation 0.007.
+    assert drawn.count("facegood") / len(drawn) == pytest.approx(0.75, abs=0.03)
+    assert set(drawn) == {"facegood", "rom"}
+    with pytest.raises(ValueError, match="no sequences of source 'video'"):
+        SequenceSampler(sequences, {"video": 1.0})
+
+
+def test_targets_are_those_of_the_time_asked_for(corpus: Path) -> None:
+    data = OpenCorpus(corpus)
+    sequence = data.sequences("train", ["synthetic"])[0]
+    targets = SpeechTargets(data, [sequence])
+    labels = [
+        targets.phones[i] for i in targets.phones_at(sequence, np.array([0.1, 0.7, 1.2, 2.2]))
+    ]
+    assert labels == ["sil", "P", "AA", "sil"]
+    curves, opening = targets.motion_at(sequence, np.array([10 / 30, 10.5 / 30, 11 / 30]))
+    assert curves.shape == (3, targets.num_curves) and opening.shape == (3,)
+    # Linear between frames.
+    np.testing.assert_allclose(curves[1], (curves[0] + curves[2]) / 2, atol=1e-5)
+
+
+def test_log_mel_peaks_at_the_band_and_the_time_of_a_tone() -> None:
+    times = torch.arange(16000) / 16000
+    wave = torch.where(times < 0.5, torch.zeros(()), torch.sin(2 * torch.pi * 1000 * times))
+    energies = log_mel(wave[None], 48, 0.0125, 40)[0]
+    assert energies.shape == (48, 40)
+    bands = energies[30:].mean(dim=0)
+    hertz = 700 * (10 ** (torch.linspace(31.7, 2840, 42)[1:-1] / 2595) - 1)
+    # Band centres are at most 130 Hz apart near 1 kHz.
+    assert abs(hertz[bands.argmax()] - 1000) < 130
+    assert energies[35:].mean() > energies[:20].mean() + 1
+
+
+def test_speed_changes_length_and_pitch_alike() -> None:
+    wave = np.sin(2 * np.pi * 440 * np.arange(16000) / 16000).astype(np.float32)
+    fast = change_speed(wave, 1.1)
+    assert len(fast) == round(16000 / 1.1)
+    spectrum = np.abs(np.fft.rfft(fast, 16000))
+    assert abs(int(spectrum.argmax()) - 484) <= 1
+
+
+def test_augmentation_is_finite_and_repeats(corpus: Path) -> None:
+    wave = np.random.default_rng(0).normal(0, 0.1, 8000).astype(np.float32)
+    for seed in range(20):
+        once = augment_wave(wave, np.random.default_rng(seed), 16000)
+        again = augment_wave(wave, np.random.default_rng(seed), 16000)
+        assert once.shape == wave.shape and np.isfinite(once).all()
+        np.testing.assert_array_equal(once, again)
+
+
+def test_step_seeds_differ() -> None:
+    assert len({step_seed(seed, step) for seed in range(10) for step in range(1000)}) == 10_000
+
+
+def test_placement_moves_points_and_turns_displacements() -> None:
+    rng = np.random.default_rng(3)
+    placement = random_placement(rng, 5.0, 0.006, 0.06, torch.device("cpu"))
+    assert isinstance(placement, Placement)
+    eye = placement.rotation @ placement.rotation.T
+    torch.testing.assert_close(eye, torch.eye(3), atol=1e-6, rtol=0)
+    points, vectors = torch.randn(5, 3), torch.randn(5, 3)
+    torch.testing.assert_close(
+        placement.moved(points + vectors),
+        placement.moved(points) + placement.turned(vectors),
+        atol=1e-6,
+        rtol=0,
+    )
+
+
+# Whole trainings
+
+
+def test_speech_training_writes_an_encoder(speech: Path) -> None:
+    encoder = SpeechEncoder.from_pretrained(speech)
+    assert encoder(torch.randn(1, 16000)).shape[-1] == 32
+    config = json.loads((speech / "config.json").read_text())
+    assert config["model_type"] == "hubert"
+    assert config["training"]["steps"] == 2
+    assert "phones" not in " ".join(weights(speech))  # the heads stay behind
+
+
+def test_ats_training_writes_weights(corpus: Path, speech: Path, tmp_path: Path) -> None:
+    result = run(
+        "ats",
+        CONFIGS / "ats_smoke.yaml",
+        [*QUICK, f"task.speech_encoder={speech}"],
+        corpus,
+        tmp_path,
+    )
+    assert result.status == "finished" and np.isfinite(result.scores["score"])
+    model = Ats.from_pretrained(tmp_path / "ats")
+    assert model.options.audio_dim == 32
+    # Statistics must not be rounded to half precision.
+    assert weights(tmp_path / "ats")["motion_scale"].dtype == torch.float32
+
+
+def test_stm_training_lowers_the_error(corpus: Path, tmp_path: Path) -> None:
+    result = run(
+        "stm",
+        CONFIGS / "stm_smoke.yaml",
+        [*QUICK, "loop.max_steps=60", "loop.validate_every=0", "loop.learning_rate=0.005"],
+        corpus,
+        tmp_path,
+    )
+    assert result.scores["relative_error"] < 1.0  # 1 is a face that stays still
+    Stm.from_pretrained(tmp_path / "stm")
+
+
+@pytest.mark.parametrize("kind", ["ats", "stm", "speech"])
+def test_a_stopped_run_ends_with_the_same_weights(
+    kind: str, corpus: Path, speech: Path, tmp_path: Path
+) -> None:
+    common = [*QUICK, "loop.validate_every=0", "loop.keep=last"]
+    if kind == "ats":
+        common.append(f"task.speech_encoder={speech}")
+    config = CONFIGS / f"{kind}_smoke.yaml"
+    run(kind, config, [*common, "loop.max_steps=5"], corpus, tmp_path / "whole")
+    run(kind, config, [*common, "loop.max_steps=2"], corpus, tmp_path / "parts")
+    run(kind, config, [*common, "loop.max_steps=5"], corpus, tmp_path / "parts")
+    whole, parts = (
+        weights(next((tmp_path / name / "checkpoints" / kind).glob("step_0000005")))
+        for name in ("whole", "parts")
+    )
+    for name, value in whole.items():
+        assert torch.equal(value, parts[name]), name
+
+
+def test_a_killed_process_goes_on_where_its_checkpoint_was(corpus: Path, tmp_path: Path) -> None:
+    script = (
+        "import os, sys; from freetalk.train import run, loop\n"
+        "step = loop.Trainer._train_step\n"
+        "def killed(self):\n"
+        "    if self.step == 4: os.kill(os.getpid(), 9)\n"
+        "    return step(self)\n"
+        "if sys.argv[1] == 'kill': loop.Trainer._train_step = killed\n"
+        f"run('stm', {str(CONFIGS / 'stm_smoke.yaml')!r}, {QUICK!r} + ['loop.max_steps=6',"
+        f"'loop.checkpoint_every=3', 'loop.validate_every=0'], {str(corpus)!r}, sys.argv[2])"
+    )
+    environment = {**os.environ, "FREETALK_CACHE": str(tmp_path / "operators")}
+    for mode, out, code in (("kill", "a", -9), ("go", "a", 0), ("go", "b", 0)):
+        done = subprocess.run(
+            [sys.executable, "-c", script, mode, str(tmp_path / out)],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == code, done.stderr
+    first, second = (
+        weights(tmp_path / out / "checkpoints" / "stm" / "step_0000006") for out in ("a", "b")
+    )
+    assert all(torch.equal(value, second[name]) for name, value in first.items())
+
+
+def test_another_model_does_not_continue_a_run(corpus: Path, tmp_path: Path) -> None:
+    config = CONFIGS / "stm_smoke.yaml"
+    run("stm", config, [*QUICK, "loop.max_steps=1"], corpus, tmp_path)
+    with pytest.raises(ValueError, match="other model options"):
+        run("stm", config, [*QUICK, "model.decoder_width=8"], corpus, tmp_path)
+
+
+def test_a_loss_that_is_not_finite_stops_with_the_batch_saved(
+    corpus: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from freetalk.train.stm import StmTask
+
+    clean = StmTask.batch
+
+    def poisoned(self: StmTask, generator: torch.Generator) -> dict[str, object]:
+        batch = clean(self, generator)
+        batch["items"][0]["landmarks"][0, 0, 0] = float("nan")
+        return batch
+
+    monkeypatch.setattr(StmTask, "batch", poisoned)
+    with pytest.raises(RuntimeError, match=r"step 0 of stm is not finite.*failed_batch_stm\.pt"):
+        run("stm", CONFIGS / "stm_smoke.yaml", QUICK, corpus, tmp_path)
+    saved = torch.load(tmp_path / "failed_batch_stm.pt", weights_only=True)
+    assert torch.isnan(saved["items"][0]["landmarks"]).any()
+
+
+def test_an_interrupted_run_saves_and_says_how_to_go_on(
+    corpus: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    import signal
+
+    from freetalk.train import loop
+
+    step = loop.Trainer._train_step
+
+    def interrupted(self: loop.Trainer) -> dict[str, float]:
+        if self.step == 2:
+            signal.raise_signal(signal.SIGINT)
+        return step(self)
+
+    monkeypatch.setattr(loop.Trainer, "_train_step", interrupted)
+    options = [*QUICK, "loop.validate_every=0"]
+    result = run("stm", CONFIGS / "stm_smoke.yaml", options, corpus, tmp_path)
+    assert (result.status, result.step) == ("interrupted", 3)
+    assert "the same command continues" in capsys.readouterr().err
+    monkeypatch.setattr(loop.Trainer, "_train_step", step)
+    assert run("stm", CONFIGS / "stm_smoke.yaml", options, corpus, tmp_path).step == 6
+
+
+def test_ats_without_an_encoder_says_where_to_get_one(corpus: Path, tmp_path: Path) -> None:
+    options = [*QUICK, f"task.speech_encoder={tmp_path / 'none'}"]
+    with pytest.raises(FileNotFoundError, match="freetalk train speech"):
+        run("ats", CONFIGS / "ats_smoke.yaml", options, corpus, tmp_path)
