@@ -96,13 +96,21 @@ class Average:
 
 
 class Trainer:
-    """Runs a task under a configuration and writes everything below `out`."""
+    """Runs a task under a configuration and writes everything below `out`.
 
-    def __init__(self, task: Task, config: TrainingConfig, out: Path) -> None:
+    Args:
+        task: what is trained.
+        config: its configuration.
+        out: folder to write to.
+        command: what was typed, noted with the weights.
+    """
+
+    def __init__(self, task: Task, config: TrainingConfig, out: Path, command: str = "") -> None:
         self.task = task
         self.config = config
         self.options: LoopOptions = config.loop
         self.out = out
+        self.command = command
         self.checkpoints = out / "checkpoints" / config.kind
         decay_groups = parameter_groups(task.model, self.options.weight_decay)
         self.optimizer = torch.optim.AdamW(decay_groups, lr=self.options.learning_rate)
@@ -237,7 +245,7 @@ class Trainer:
         return {
             "config": self.config.to_dict(),
             "seed": self.options.seed,
-            "command": " ".join(["freetalk", *sys.argv[1:]]),
+            "command": self.command,
             "commit": git_commit(),
             "steps": self.step,
             "minutes": round(self.elapsed_s / 60, 2),

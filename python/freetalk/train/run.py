@@ -44,7 +44,8 @@ def run(
     torch.manual_seed(config.loop.seed)  # initial weights
     task = make_task(config, corpus, out, device)
     write_run_record(out, config, Path(data))
-    return Trainer(task, config, out).run()
+    command = f"freetalk train {kind} --config {Path(config_path).name} --data CORPUS --out OUT"
+    return Trainer(task, config, out, " ".join([command, *overrides])).run()
 
 
 def make_task(config: TrainingConfig, corpus: OpenCorpus, out: Path, device: torch.device) -> Task:
