@@ -28,6 +28,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("demo_out"), help="where to write")
     parser.add_argument("--size", type=int, default=512, help="side of the videos in pixels, even")
     parser.add_argument("--seed", type=int, default=1, help="another seed, another performance")
+    parser.add_argument("--pretrained", default="open-small", help="name or folder of the weights")
     arguments = parser.parse_args()
     start = time.perf_counter()
     out: Path = arguments.out
@@ -36,7 +37,7 @@ def main() -> None:
     face_file = write_face(out / "face.obj")
     mesh = ft.load_mesh(face_file)
     audio = ft.load_audio(assets.speech_clip())
-    talker = ft.Talker.from_pretrained("open-small")
+    talker = ft.Talker.from_pretrained(arguments.pretrained)
     seconds = len(audio.samples) / audio.sample_rate_hz
     print(f"{seconds:.1f} s of speech, a face of {len(mesh.vertices)} vertices: {face_file}")
 

@@ -52,7 +52,7 @@ def describe(error: BaseException) -> str:
     # LibTorch appends the C++ call stack to its messages.
     message = str(error).split("\nException raised from")[0].split("\nC++ CapturedTraceback")[0]
     message = " ".join(message.split())
-    if isinstance(error, ImportError) and error.name and "." not in error.name:
+    if isinstance(error, ModuleNotFoundError) and error.name and error.name.isidentifier():
         return f"the Python package '{error.name}' is missing: pip install 'freetalk[all]'"
     return message or type(error).__name__
 

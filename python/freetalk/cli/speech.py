@@ -27,7 +27,7 @@ def encode(arguments: argparse.Namespace) -> None:
 
     audio = freetalk.load_audio(audio_file)
     encoder = SpeechEncoder.from_pretrained(weights / "speech")
-    samples = torch.as_tensor(np.asarray(audio.samples))
+    samples = torch.from_numpy(np.array(audio.samples, dtype=np.float32))
     features = encode_speech(encoder, samples, arguments.fps).cpu().numpy()
     out.parent.mkdir(parents=True, exist_ok=True)
     partial = out.with_name(f".{out.name}.{os.getpid()}.partial")

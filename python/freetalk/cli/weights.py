@@ -29,7 +29,8 @@ def find_weights(name: str) -> Path:
     raise ValueError(f"no weights '{name}': neither a folder with talker.json nor one of: {known}")
 
 
-def describe_weights(folder: Path) -> dict[str, Any]:
-    """Content of talker.json."""
-    description: dict[str, Any] = json.loads((folder / "talker.json").read_text())
-    return description
+def motion_options(folder: Path) -> dict[str, Any]:
+    """Options of the landmark model: emotions, frames per second."""
+    config: dict[str, Any] = json.loads((folder / "ats" / "config.json").read_text())
+    options: dict[str, Any] = config["options"]
+    return options

@@ -1,0 +1,202 @@
+"""Commands that do the work, on a small face with small random weights."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from test_talker import write_weights
+
+import freetalk as ft
+from freetalk.cli import main, weights
+from freetalk.corpus import assets
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Half a second of speech, half a second of silence, a face in centimetres, weights."""
+    folder = tmp_path_factory.mktemp("cli")
+    samples = np.asarray(ft.load_audio(assets.speech_clip()).samples)[8000:16000]
+    ft.audio.save_wav(folder / "speech.wav", ft.Audio(samples, 16000))
+    ft.audio.save_wav(folder / "silence.wav", ft.Audio(np.zeros(8000, np.float32), 16000))
+    vertices, faces = assets.mean_face("narrow")
+    face = ft.Mesh(100 * vertices.astype(np.float64), faces.tolist(), name="face")
+    ft.geometry.save_mesh(folder / "face.obj", face)
+    (folder / "weights").mkdir()
+    write_weights(folder / "weights")
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def cache(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FREETALK_CACHE", str(room / "cache"))
+
+
+def animate(room: Path, *more: str | Path, audio: str = "speech.wav") -> int:
+    arguments = ["animate", "--audio", room / audio, "--mesh", room / "face.obj"]
+    arguments += ["--pretrained", room / "weights", *more]
+    return main([str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def talk(room: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An animation, made by the command line."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FREETALK_CACHE", str(room / "cache"))
+        path = tmp_path_factory.mktemp("made") / "talk.npz"
+        assert animate(room, "--quiet", "--seed", "3", "--out", path) == 0
+    return path
+
+
+def test_every_output_is_written_at_once(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = ("deep/talk.npz", "talk.glb", "talk.mp4", "frames/*.ply", "meshes/")
+    outputs = [word for name in names for word in ("--out", f"{tmp_path}/{name}")]
+    assert animate(room, *outputs, "--size", "64", "--fps", "10", "--emotion", "happy") == 0
+    printed = capsys.readouterr().out
+    assert "guessed unit cm" in printed
+    for name in ("talk.npz", "talk.glb", "talk.mp4", "frames/", "meshes/"):
+        assert name in printed
+    expected = {"deep", "talk.glb", "talk.mp4", "frames", "meshes"}
+    assert {entry.name for entry in tmp_path.iterdir()} == expected
+    assert len(list((tmp_path / "frames").glob("*.ply"))) == 5
+    assert len(list((tmp_path / "meshes").glob("*.obj"))) == 5
+    with np.load(tmp_path / "deep" / "talk.npz") as arrays:
+        assert arrays["displacements"].shape == (5, 6706, 3)
+        assert np.abs(arrays["displacements"]).max() > 0
+        np.testing.assert_array_equal(arrays["faces"], assets.mean_face("narrow")[1])
+
+
+def test_same_seed_same_bytes(room: Path, talk: Path, tmp_path: Path) -> None:
+    for seed in ("3", "4"):
+        assert animate(room, "--quiet", "--seed", seed, "--out", tmp_path / f"{seed}.npz") == 0
+    assert (tmp_path / "3.npz").read_bytes() == talk.read_bytes()
+    assert (tmp_path / "4.npz").read_bytes() != talk.read_bytes()
+
+
+def test_quiet_prints_nothing(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert animate(room, "--quiet", "--steps", "2", "--out", tmp_path / "talk.npz") == 0
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err) == ("", "")
+
+
+def test_silence_is_animated_and_said(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert animate(room, "--out", tmp_path / "talk.npz", audio="silence.wav") == 0
+    assert "silent" in capsys.readouterr().out
+    assert (tmp_path / "talk.npz").is_file()
+
+
+def test_without_mesh_the_built_in_face_speaks(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "talk.npz"
+    arguments = ["--audio", room / "speech.wav", "--pretrained", room / "weights", "--out", out]
+    assert main(["animate", *map(str, arguments)]) == 0
+    assert "built-in" in capsys.readouterr().out
+    assert ft.Animation.load(out).vertices.shape == (9409, 3)
+
+
+def test_unknown_emotion_lists_the_known_ones(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert animate(room, "--emotion", "hungry", "--out", tmp_path / "talk.glb") == 2
+    captured = capsys.readouterr()
+    assert len(captured.err.strip().splitlines()) == 1
+    assert "hungry" in captured.err and "happy" in captured.err and "contempt" in captured.err
+    assert not list(tmp_path.iterdir())
+
+
+def test_wrong_pose_options_are_refused(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert animate(room, "--up", "+y", "--forward", "-y", "--out", tmp_path / "talk.glb") == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_view_renders_to_files(
+    talk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    png, mp4 = tmp_path / "a.png", tmp_path / "a.mp4"
+    arguments = ["view", talk, "--png", png, "--mp4", mp4, "--size", "64", "--time", "0.2"]
+    assert main([str(argument) for argument in arguments]) == 0
+    assert png.read_bytes().startswith(b"\x89PNG") and mp4.stat().st_size > 1000
+    assert str(png) in capsys.readouterr().out
+
+
+def test_view_without_a_display_says_what_to_do(
+    talk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr("sys.platform", "linux")
+    assert main(["view", str(talk)]) == 2
+    assert "--png" in capsys.readouterr().err
+
+
+def test_mesh_check_reports_counts_and_pose(room: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, folder = str(room / "face.obj"), str(room / "weights")
+    assert main(["mesh", "check", file, "--pretrained", folder]) == 0
+    printed = capsys.readouterr().out
+    assert "6706 vertices" in printed and "guessed unit cm" in printed and "parts: 1" in printed
+
+
+def test_speech_encode_writes_one_row_a_frame(room: Path, tmp_path: Path) -> None:
+    out = tmp_path / "features.npy"
+    arguments = ["--audio", room / "speech.wav", "--pretrained", room / "weights", "--out", out]
+    assert main(["speech", "encode", *map(str, arguments), "--fps", "25"]) == 0
+    assert np.load(out).shape == (13, 32)  # round(0.5 s * 25), hidden size
+    assert [entry.name for entry in tmp_path.iterdir()] == ["features.npy"]
+
+
+def test_models_are_listed(
+    room: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(weights, "PRETRAINED", room)
+    for words in (["models"], ["models", "list"]):
+        assert main(words) == 0
+        printed = capsys.readouterr().out
+        assert "weights: " in printed and "contempt" in printed and "30 fps" in printed
+
+
+def test_train_passes_everything_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from freetalk import train
+
+    seen: list[object] = []
+
+    def run(*arguments: object) -> SimpleNamespace:
+        seen.extend(arguments)
+        scores = {"loss": 0.25}
+        return SimpleNamespace(status="finished", step=7, scores=scores, directory=tmp_path)
+
+    monkeypatch.setattr(train, "run", run)
+    config, out = tmp_path / "c.yaml", tmp_path / "out"
+    config.write_text("model: {}\n")
+    arguments = ["--config", config, "--data", tmp_path, "--out", out, "loop.max_steps=7"]
+    assert main(["train", "stm", *map(str, arguments)]) == 0
+    assert seen == ["stm", str(config), ["loop.max_steps=7"], str(tmp_path), str(out)]
+    assert "finished at step 7: loss 0.25" in capsys.readouterr().out
+
+
+def test_evaluate_passes_everything_on(
+    room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from freetalk.evaluate import open_corpus
+
+    seen: list[str] = []
+    monkeypatch.setattr(open_corpus, "main", seen.extend)
+    (tmp_path / "manifest.json").write_text(json.dumps({}))
+    options = ["--data", str(tmp_path), "--pretrained", str(room / "weights"), "--parts", "ats"]
+    assert main(["evaluate", *options, "--out", str(tmp_path / "scores.json")]) == 0
+    assert seen[:4] == ["--corpus", str(tmp_path), "--pretrained", str(room / "weights")]
+    assert seen[seen.index("--parts") + 1] == "ats" and seen[-2] == "--out"
