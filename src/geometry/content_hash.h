@@ -1,4 +1,5 @@
-// 128-bit hash of bytes (MurmurHash3 x64 128, A. Appleby, public domain algorithm): cache keys and checksums.
+// 128-bit hash of bytes (MurmurHash3 x64 128, A. Appleby, public domain algorithm): cache keys and
+// checksums.
 #pragma once
 
 #include <cstddef>

@@ -1,8 +1,8 @@
 #include "freetalk/geometry/eigenbasis.h"
 
+#include <Spectra/SymEigsSolver.h>
 #include <Eigen/Eigenvalues>
 #include <Eigen/SparseCholesky>
-#include <Spectra/SymEigsSolver.h>
 
 #include <algorithm>
 #include <cmath>
@@ -17,7 +17,8 @@ namespace {
 
 using Factor = Eigen::SimplicialLDLT<SparseMatrix>;
 
-/// y = P D^1/2 (L + s D)^-1 D^1/2 P x, P the projection onto the complement of `known` (in the D^1/2 metric).
+/// y = P D^1/2 (L + s D)^-1 D^1/2 P x, P the projection onto the complement of `known` (in the
+/// D^1/2 metric).
 class ShiftInvertOperator {
  public:
   using Scalar = double;
@@ -60,16 +61,21 @@ struct Problem {
 
 SparseMatrix shifted(const Problem& problem, double amount) {
   SparseMatrix matrix = problem.laplacian;
-  for (Eigen::Index i = 0; i < matrix.rows(); ++i) matrix.coeffRef(i, i) += amount * problem.mass[i];
+  for (Eigen::Index i = 0; i < matrix.rows(); ++i)
+    matrix.coeffRef(i, i) += amount * problem.mass[i];
   return matrix;
 }
 
 Eigen::VectorXd residuals_of(const Problem& problem, const Eigenbasis& basis) {
   const Eigen::MatrixXd applied = problem.laplacian * basis.evecs;
+  // Weights of needle-like faces are huge, and so is their rounding: it is no fault of the
+  // eigenpair.
+  const double rounding = 1e-8 * problem.laplacian.diagonal().maxCoeff();
   Eigen::VectorXd residuals(basis.evals.size());
   for (Eigen::Index i = 0; i < residuals.size(); ++i) {
     const Eigen::VectorXd weighted = problem.mass.cwiseProduct(basis.evecs.col(i));
-    const double scale = std::max(std::abs(basis.evals[i]), problem.first_eval) * weighted.norm();
+    const double scale = std::max(std::abs(basis.evals[i]), problem.first_eval) * weighted.norm() +
+                         rounding * basis.evecs.col(i).norm();
     residuals[i] = (applied.col(i) - basis.evals[i] * weighted).norm() / scale;
   }
   return residuals;
@@ -86,7 +92,8 @@ Eigenbasis dense_basis(const Problem& problem, int64_t k) {
   return basis;
 }
 
-/// Pairs of the complement of `known`: eigenvectors of the normalised problem (orthonormal) and evals, ascending.
+/// Pairs of the complement of `known`: eigenvectors of the normalised problem (orthonormal) and
+/// evals, ascending.
 struct NormalizedPairs {
   Eigen::VectorXd evals;
   Eigen::MatrixXd vectors;
@@ -99,7 +106,8 @@ std::optional<NormalizedPairs> lanczos(const Problem& problem, const Factor& fac
   Spectra::SymEigsSolver<ShiftInvertOperator> solver(op, count, subspace);
   solver.init();
   constexpr int kMaxRestarts = 300;
-  constexpr double kTolerance = 1e-10;  // of the inverted problem; the residuals below are what is promised
+  constexpr double kTolerance =
+      1e-10;  // of the inverted problem; the residuals below are what is promised
   solver.compute(Spectra::SortRule::LargestAlge, kMaxRestarts, kTolerance);
   if (solver.info() != Spectra::CompInfo::Successful) return std::nullopt;
   NormalizedPairs pairs;
@@ -129,7 +137,8 @@ void sort_ascending(NormalizedPairs& pairs) {
   }
 }
 
-/// The widest gap among the last few eigenvalues: a bound between two clusters, where counting is safe.
+/// The widest gap among the last few eigenvalues: a bound between two clusters, where counting is
+/// safe.
 Eigen::Index last_safe_count(const Eigen::VectorXd& evals) {
   const Eigen::Index count = evals.size();
   Eigen::Index best = count - 1;
@@ -151,9 +160,9 @@ bool complete(const Problem& problem, const Factor& factor, NormalizedPairs& pai
     const Eigen::Index room = problem.mass.size() - pairs.evals.size();
     const Eigen::Index extra = std::min<Eigen::Index>(missing + 2, room - 1);
     if (extra < 1) return false;
-    const Eigen::Index subspace = std::min<Eigen::Index>(std::max<Eigen::Index>(3 * extra, 20), room);
-    std::optional<NormalizedPairs> more =
-        lanczos(problem, factor, pairs.vectors, extra, subspace);
+    const Eigen::Index subspace =
+        std::min<Eigen::Index>(std::max<Eigen::Index>(3 * extra, 20), room);
+    std::optional<NormalizedPairs> more = lanczos(problem, factor, pairs.vectors, extra, subspace);
     if (!more) return false;
     NormalizedPairs all;
     all.evals.resize(pairs.evals.size() + extra);

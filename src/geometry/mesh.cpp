@@ -134,7 +134,9 @@ Mesh load_mesh(const std::filesystem::path& path) {
                          " has no known mesh extension; convert it to OBJ, PLY, OFF or STL");
   const std::string bytes = core::read_text(path);
   FREETALK_RUNTIME_CHECK(!bytes.empty(), "mesh file ", file, " is empty; export the mesh again");
-  RawMesh raw = extension == "obj" ? read_obj(path, bytes) : read_openmesh(path, extension, bytes);
+  RawMesh raw = extension == "obj"   ? read_obj(path, bytes)
+                : extension == "ply" ? read_ply(path, bytes)
+                                     : read_openmesh(path, extension, bytes);
   Eigen::MatrixXd vertices = to_matrix<3>(raw.vertices);
   Eigen::MatrixXd texcoords = to_matrix<2>(raw.texcoords);
   const std::string problem =

@@ -20,7 +20,10 @@ struct RawMesh {
 /// Wavefront OBJ text. @throws std::runtime_error naming the file and the line.
 RawMesh read_obj(const std::filesystem::path& path, const std::string& text);
 
-/// PLY, OFF or STL bytes (`extension` "ply", "off", "stl"), through OpenMesh.
+/// PLY bytes. @throws std::runtime_error naming the file.
+RawMesh read_ply(const std::filesystem::path& path, const std::string& bytes);
+
+/// OFF or STL bytes (`extension` "off", "stl"), through OpenMesh.
 /// @throws std::runtime_error naming the file.
 RawMesh read_openmesh(const std::filesystem::path& path, const std::string& extension,
                       const std::string& bytes);

@@ -17,7 +17,8 @@ void append_number(std::string& out, double value) {
   out.append(buffer, result.ptr);
 }
 
-void append_row(std::string& out, const char* keyword, const Eigen::MatrixXd& rows, Eigen::Index i) {
+void append_row(std::string& out, const char* keyword, const Eigen::MatrixXd& rows,
+                Eigen::Index i) {
   out += keyword;
   for (Eigen::Index c = 0; c < rows.cols(); ++c) {
     out.push_back(' ');

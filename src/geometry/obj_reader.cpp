@@ -1,7 +1,7 @@
-// OBJ text to RawMesh. Not OpenMesh's reader: that one drops a line "v nan 0 0" (which shifts every index after it),
-// rounds to float and keeps no texture coordinate indices.
+// OBJ text to RawMesh. Not OpenMesh's reader: that one drops a line "v nan 0 0" (which shifts every
+// index after it), rounds to float and keeps no texture coordinate indices.
 #include <charconv>
-#include <cmath>
+#include <cstdlib>
 #include <limits>
 #include <string_view>
 
@@ -23,7 +23,8 @@ class ObjParser {
       const std::string_view keyword = next_token(line);
       if (keyword == "v") {
         Eigen::Vector3d& point = mesh_.vertices.emplace_back();
-        for (int axis = 0; axis < 3; ++axis) point[axis] = number(line, "a vertex needs three numbers");
+        for (int axis = 0; axis < 3; ++axis)
+          point[axis] = number(line, "a vertex needs three numbers");
       } else if (keyword == "vt") {
         Eigen::Vector2d& texcoord = mesh_.texcoords.emplace_back(0.0, 0.0);
         texcoord[0] = number(line, "a texture coordinate needs a number");
@@ -81,14 +82,16 @@ class ObjParser {
     if (!token.empty() && token.front() == '+') token.remove_prefix(1);
     double value = 0.0;
     const auto [end, error] = std::from_chars(token.data(), token.data() + token.size(), value);
-    if (error == std::errc::result_out_of_range) return std::abs(value) > 1.0 ? INFINITY : 0.0;
-    FREETALK_RUNTIME_CHECK(error == std::errc() && end == token.data() + token.size(),
-                           "mesh file ", path_.string(), " line ", line_number_, ": ", problem,
+    if (error == std::errc::result_out_of_range)
+      return std::strtod(std::string(token).c_str(), nullptr);
+    FREETALK_RUNTIME_CHECK(error == std::errc() && end == token.data() + token.size(), "mesh file ",
+                           path_.string(), " line ", line_number_, ": ", problem,
                            "; export the mesh again as OBJ");
     return value;
   }
 
-  /// 0-based index from a 1-based or negative (relative) one; kInvalidIndex for anything else but an empty field.
+  /// 0-based index from a 1-based or negative (relative) one; kInvalidIndex for anything else but
+  /// an empty field.
   int index(std::string_view field, size_t count) const {
     int64_t value = 0;
     const auto [end, error] = std::from_chars(field.data(), field.data() + field.size(), value);

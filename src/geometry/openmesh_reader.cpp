@@ -1,9 +1,9 @@
-// PLY, OFF and STL through OpenMesh's readers, into an importer of our own: OpenMesh's mesh refuses complex edges and
-// would lose those faces. Its readers trust what a file says of itself, so counts and characters are checked before.
+// OFF and STL through OpenMesh's readers, into an importer of our own: OpenMesh's mesh refuses
+// complex edges and would lose those faces. Its readers trust what a file says of itself, so counts
+// and characters are checked too.
 #include <OpenMesh/Core/IO/IOManager.hh>
 #include <OpenMesh/Core/IO/importer/BaseImporter.hh>
 #include <OpenMesh/Core/IO/reader/OFFReader.hh>
-#include <OpenMesh/Core/IO/reader/PLYReader.hh>
 #include <OpenMesh/Core/IO/reader/STLReader.hh>
 #include <OpenMesh/Core/System/omstream.hh>
 
@@ -103,38 +103,6 @@ struct Declared {
   std::string_view text;  // the part that must be numbers; empty for binary files
 };
 
-Declared declared_ply(const std::string& bytes, const std::string& file) {
-  const size_t header_end = bytes.find("end_header");
-  FREETALK_RUNTIME_CHECK(bytes.compare(0, 3, "ply") == 0 && header_end != std::string::npos,
-                         "mesh file ", file, " is not a PLY file; check it or export it again");
-  Declared declared;
-  std::istringstream header(bytes.substr(0, header_end));
-  bool ascii = false;
-  for (std::string line; std::getline(header, line);) {
-    std::istringstream words(line);
-    std::string keyword, name;
-    words >> keyword >> name;
-    if (keyword == "format") ascii = name == "ascii";
-    if (keyword != "element") continue;
-    int64_t count = -1;
-    words >> count;
-    // Every element takes at least one byte, so a larger count is damage (or an attack on the memory).
-    FREETALK_RUNTIME_CHECK(count >= 0 && count <= static_cast<int64_t>(bytes.size()), "mesh file ",
-                           file, " promises more elements than it can hold; export it again");
-    if (name == "vertex") declared.vertices = count;
-    if (name == "face") declared.faces = count;
-  }
-  FREETALK_RUNTIME_CHECK(declared.vertices >= 0, "mesh file ", file,
-                         " has no vertices; choose a PLY with vertices and faces");
-  FREETALK_RUNTIME_CHECK(declared.faces > 0, "mesh file ", file,
-                         " has no faces; choose a mesh, not a point cloud");
-  if (ascii) {
-    const size_t body = bytes.find('\n', header_end);
-    if (body != std::string::npos) declared.text = std::string_view(bytes).substr(body);
-  }
-  return declared;
-}
-
 Declared declared_off(const std::string& bytes, const std::string& file) {
   const size_t line_end = std::min(bytes.find('\n'), bytes.size());
   const std::string first = bytes.substr(0, line_end);
@@ -166,23 +134,34 @@ Declared declared_stl(const std::string& bytes, const std::string& file) {
   if (text) return declared;
   uint32_t count = 0;
   if (bytes.size() >= kHeader) std::memcpy(&count, bytes.data() + 80, sizeof(count));
-  FREETALK_RUNTIME_CHECK(bytes.size() >= kHeader &&
-                             count <= (bytes.size() - kHeader) / kTriangle,
-                         "mesh file ", file, " is not an STL file or is cut short; export it again");
+  FREETALK_RUNTIME_CHECK(bytes.size() >= kHeader && count <= (bytes.size() - kHeader) / kTriangle,
+                         "mesh file ", file,
+                         " is not an STL file or is cut short; export it again");
   declared.faces = count;
   return declared;
 }
 
-/// Number streams stop at the first character that is no number and would fill the rest with zeros.
-void check_numbers(std::string_view text, const std::string& file) {
+/// Number streams stop at the first character that is no number and would fill the rest with
+/// repetitions.
+/// @returns how many numbers there are.
+int64_t count_numbers(std::string_view text, const std::string& file) {
+  int64_t numbers = 0;
+  bool within = false;
   for (size_t i = 0; i < text.size(); ++i) {
     const char c = text[i];
     if (c == '#') {
       i = std::min(text.find('\n', i), text.size());
+      within = false;
       continue;
     }
-    const bool number = (c >= '0' && c <= '9') || std::strchr("+-.eE \t\r\n", c) != nullptr;
-    if (number && c != '\0') continue;
+    const bool blank = c == ' ' || c == '\t' || c == '\r' || c == '\n';
+    const bool digit =
+        (c >= '0' && c <= '9') || c == '+' || c == '-' || c == '.' || c == 'e' || c == 'E';
+    if (blank || digit) {
+      numbers += digit && !within ? 1 : 0;
+      within = digit;
+      continue;
+    }
     const std::string_view word = text.substr(i, 3);
     const bool not_finite = word == "nan" || word == "NaN" || word == "NAN" || word == "inf" ||
                             word == "Inf" || word == "INF";
@@ -191,6 +170,16 @@ void check_numbers(std::string_view text, const std::string& file) {
     FREETALK_RUNTIME_CHECK(false, "mesh file ", file,
                            " has text where numbers are expected; export it again");
   }
+  return numbers;
+}
+
+/// How many numbers the text of a mesh must hold at least: three counts, the points, the faces.
+int64_t numbers_needed(const RawMesh& mesh) {
+  int64_t needed = 3 + 3 * static_cast<int64_t>(mesh.vertices.size());
+  for (const std::vector<int>& polygon : mesh.polygons) {
+    needed += 1 + static_cast<int64_t>(polygon.size());
+  }
+  return needed;
 }
 
 }  // namespace
@@ -198,10 +187,9 @@ void check_numbers(std::string_view text, const std::string& file) {
 RawMesh read_openmesh(const std::filesystem::path& path, const std::string& extension,
                       const std::string& bytes) {
   const std::string file = path.string();
-  const Declared declared = extension == "ply"   ? declared_ply(bytes, file)
-                            : extension == "off" ? declared_off(bytes, file)
-                                                 : declared_stl(bytes, file);
-  check_numbers(declared.text, file);
+  const Declared declared =
+      extension == "off" ? declared_off(bytes, file) : declared_stl(bytes, file);
+  const int64_t numbers = count_numbers(declared.text, file);
   RawMesh mesh;
   RawImporter importer(mesh);
   bool read = false;
@@ -210,19 +198,20 @@ RawMesh read_openmesh(const std::filesystem::path& path, const std::string& exte
     const std::lock_guard<std::mutex> lock(mutex);
     ::omerr().disable();
     ::omlog().disable();
-    om::IO::PLYReader();  // Named so that the linker keeps the readers, which register themselves.
-    om::IO::OFFReader();
+    om::IO::OFFReader();  // Named so that the linker keeps the readers, which register themselves.
     om::IO::STLReader();
     om::IO::Options options = om::IO::Options::VertexTexCoord;
     std::istringstream stream(bytes, std::ios::binary);
-    read = extension == "stl" ? om::IO::IOManager().read(file, importer, options)
-                              : om::IO::IOManager().read(stream, "." + extension, importer, options);
+    read = extension == "stl"
+               ? om::IO::IOManager().read(file, importer, options)
+               : om::IO::IOManager().read(stream, "." + extension, importer, options);
   }
   const auto matches = [](int64_t count, size_t found) {
     return count < 0 || count == static_cast<int64_t>(found);
   };
   FREETALK_RUNTIME_CHECK(read && matches(declared.vertices, mesh.vertices.size()) &&
-                             matches(declared.faces, mesh.polygons.size()),
+                             matches(declared.faces, mesh.polygons.size()) &&
+                             (declared.text.empty() || numbers_needed(mesh) <= numbers),
                          "mesh file ", file, " is damaged or cut short; export it again");
   if (!mesh.texcoords.empty()) {
     mesh.texcoords.resize(mesh.vertices.size(), Eigen::Vector2d::Zero());

@@ -73,9 +73,8 @@ std::optional<SurfaceOperators> load_entry(const fs::path& file, int64_t num_ver
     operators.frames = tensors.at("frames");
     operators.residuals = tensors.at("residuals");
     const at::Tensor values = tensors.at("gradients.values");
-    operators.gradients = at::sparse_csr_tensor(
-        tensors.at("gradients.crow"), tensors.at("gradients.col"), values,
-        {2 * num_vertices, num_vertices}, values.options().layout(at::kSparseCsr));
+    operators.gradients = make_csr_tensor(tensors.at("gradients.crow"), tensors.at("gradients.col"),
+                                          values, {2 * num_vertices, num_vertices});
     operators.gradients_transposed = transpose_csr(operators.gradients);
     if (operators.num_vertices() != num_vertices || operators.k_eig() != k) return std::nullopt;
     fs::last_write_time(file, fs::file_time_type::clock::now(), error);  // Used last now.
@@ -141,7 +140,8 @@ SurfaceOperators cached_surface_operators(const Eigen::MatrixXd& vertices,
     save_entry(file, operators);
     evict(folder, file, max_bytes);
   } catch (const std::runtime_error&) {
-    // A folder that cannot be written to (full, read-only) costs the time next time, not the result.
+    // A folder that cannot be written to (full, read-only) costs the time next time, not the
+    // result.
   }
   return operators;
 }

@@ -34,8 +34,7 @@ void check_surface(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces
 }
 
 at::Tensor with_values(const at::Tensor& csr, const at::Tensor& values) {
-  return at::sparse_csr_tensor(csr.crow_indices(), csr.col_indices(), values, csr.sizes(),
-                               values.options().layout(at::kSparseCsr));
+  return make_csr_tensor(csr.crow_indices(), csr.col_indices(), values, csr.sizes());
 }
 
 }  // namespace
@@ -65,19 +64,24 @@ SurfaceOperators SurfaceOperators::scaled(double factor) const {
 SurfaceOperators SurfaceOperators::to(at::ScalarType dtype, const c10::Device& device) const {
   const auto dense = [&](const at::Tensor& t) { return t.to(device, dtype); };
   const auto sparse = [&](const at::Tensor& t) {
-    return at::sparse_csr_tensor(t.crow_indices().to(device), t.col_indices().to(device),
-                                 t.values().to(device, dtype), t.sizes(),
-                                 at::TensorOptions(dtype).device(device).layout(at::kSparseCsr));
+    return make_csr_tensor(t.crow_indices().to(device), t.col_indices().to(device),
+                           t.values().to(device, dtype), t.sizes());
   };
-  return {dense(mass),    dense(evals),  dense(evecs),     sparse(gradients),
-          sparse(gradients_transposed), dense(normals), dense(frames), dense(residuals)};
+  return {dense(mass),
+          dense(evals),
+          dense(evecs),
+          sparse(gradients),
+          sparse(gradients_transposed),
+          dense(normals),
+          dense(frames),
+          dense(residuals)};
 }
 
 SurfaceOperators surface_operators(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
                                    const OperatorOptions& options, const std::string& name) {
   check_surface(vertices, faces, options, name);
-  const auto regularization = options.regularization == "absolute" ? Regularization::kAbsolute
-                                                                   : Regularization::kRelative;
+  const auto regularization =
+      options.regularization == "absolute" ? Regularization::kAbsolute : Regularization::kRelative;
   const Eigen::VectorXd mass = lumped_mass(vertices, faces);
   const Eigenbasis basis = eigenbasis(cotan_laplacian(vertices, faces, regularization), mass,
                                       options.k_eig, options.residual_tolerance, name);

@@ -18,7 +18,8 @@ Eigen::Vector3d area_vector(const Eigen::MatrixXd& vertices, const Eigen::Matrix
   return (b - a).cross(c - a);
 }
 
-/// Neighbours of each vertex over the edges of the faces, sorted, without itself: offsets and indices.
+/// Neighbours of each vertex over the edges of the faces, sorted, without itself: offsets and
+/// indices.
 struct Adjacency {
   std::vector<int> offsets;
   std::vector<int> neighbours;
@@ -49,7 +50,8 @@ Adjacency vertex_adjacency(int64_t num_vertices, const Eigen::MatrixXi& faces) {
   return adjacency;
 }
 
-/// The guarded cotangent at a corner: `dot` of the edges from it, twice the area, longest edge squared.
+/// The guarded cotangent at a corner: `dot` of the edges from it, twice the area, longest edge
+/// squared.
 double guarded_cotangent(double dot, double double_area, double longest_squared,
                          Regularization regularization) {
   if (regularization == Regularization::kAbsolute) return dot / (double_area + 1e-10);
@@ -143,7 +145,8 @@ SparseMatrix cotan_laplacian(const Eigen::MatrixXd& vertices, const Eigen::Matri
     const double double_area = area_vector(vertices, faces, f).norm();
     double longest_squared = 0.0;
     for (int c = 0; c < 3; ++c) {
-      const Eigen::RowVector3d edge = vertices.row(faces(f, c)) - vertices.row(faces(f, (c + 1) % 3));
+      const Eigen::RowVector3d edge =
+          vertices.row(faces(f, c)) - vertices.row(faces(f, (c + 1) % 3));
       longest_squared = std::max(longest_squared, edge.squaredNorm());
     }
     for (int c = 0; c < 3; ++c) {
@@ -206,7 +209,8 @@ RowSparseMatrix vertex_gradient(const Eigen::MatrixXd& vertices, const Eigen::Ma
     }
     const bool relative = regularization == Regularization::kRelative;
     const double ridge = relative ? 1e-5 * 0.5 * normal_matrix.trace() : 1e-5;
-    if (begin == end || ridge <= 0.0) continue;  // No edges, or all of length zero: the gradient is zero.
+    if (begin == end || ridge <= 0.0)
+      continue;  // No edges, or all of length zero: the gradient is zero.
     const Eigen::Matrix2d inverse = (normal_matrix + ridge * Eigen::Matrix2d::Identity()).inverse();
     Eigen::Vector2d sum = Eigen::Vector2d::Zero();
     for (int e = begin; e < end; ++e) {

@@ -1,21 +1,30 @@
 #include "tensor_conversion.h"
 
 #include <ATen/ATen.h>
+#include <c10/util/Exception.h>
 
 #include <algorithm>
+#include <vector>
 
 namespace freetalk::geometry {
 namespace {
 
 using RowMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
-at::Tensor csr_tensor(const at::Tensor& rows, const at::Tensor& cols, const at::Tensor& values,
-                      int64_t num_rows, int64_t num_cols) {
-  return at::sparse_csr_tensor(rows, cols, values, {num_rows, num_cols},
-                               values.options().layout(at::kSparseCsr));
-}
+/// Swallows torch's notice that sparse CSR is in beta, which says nothing to our users.
+class Quiet final : public c10::WarningHandler {
+  void process(const c10::Warning&) override {}
+};
 
 }  // namespace
+
+at::Tensor make_csr_tensor(const at::Tensor& crow_indices, const at::Tensor& col_indices,
+                           const at::Tensor& values, at::IntArrayRef sizes) {
+  Quiet quiet;
+  const c10::WarningUtils::WarningHandlerGuard guard(&quiet);
+  return at::sparse_csr_tensor(crow_indices, col_indices, values, sizes,
+                               values.options().layout(at::kSparseCsr));
+}
 
 at::Tensor to_tensor(const Eigen::MatrixXd& matrix) {
   at::Tensor tensor = at::empty({matrix.rows(), matrix.cols()}, at::kDouble);
@@ -32,7 +41,7 @@ at::Tensor to_csr_tensor(const RowSparseMatrix& matrix) {
   std::copy_n(compressed.outerIndexPtr(), compressed.rows() + 1, rows.data_ptr<int64_t>());
   std::copy_n(compressed.innerIndexPtr(), compressed.nonZeros(), cols.data_ptr<int64_t>());
   std::copy_n(compressed.valuePtr(), compressed.nonZeros(), values.data_ptr<double>());
-  return csr_tensor(rows, cols, values, compressed.rows(), compressed.cols());
+  return make_csr_tensor(rows, cols, values, {compressed.rows(), compressed.cols()});
 }
 
 at::Tensor transpose_csr(const at::Tensor& csr) {
@@ -59,7 +68,7 @@ at::Tensor transpose_csr(const at::Tensor& csr) {
       values.data_ptr<double>()[at] = value[i];
     }
   }
-  return csr_tensor(rows, cols, values, num_cols, num_rows);
+  return make_csr_tensor(rows, cols, values, {num_cols, num_rows});
 }
 
 }  // namespace freetalk::geometry

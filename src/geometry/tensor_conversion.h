@@ -12,6 +12,9 @@ namespace freetalk::geometry {
 at::Tensor to_tensor(const Eigen::MatrixXd& matrix);
 /// Sparse CSR with int64 indices.
 at::Tensor to_csr_tensor(const RowSparseMatrix& matrix);
+/// A sparse CSR tensor of its parts (indices int64).
+at::Tensor make_csr_tensor(const at::Tensor& crow_indices, const at::Tensor& col_indices,
+                           const at::Tensor& values, at::IntArrayRef sizes);
 /// The transpose of a sparse CSR tensor, in CSR.
 at::Tensor transpose_csr(const at::Tensor& csr);
 

@@ -13,7 +13,8 @@ double cross(const Corner2& a, const Corner2& b, const Corner2& c) {
   return (b.x() - a.x()) * (c.y() - a.y()) - (b.y() - a.y()) * (c.x() - a.x());
 }
 
-/// Cosine between the normals of the two triangles a diagonal makes; -1 if one of them is degenerate.
+/// Cosine between the normals of the two triangles a diagonal makes; -1 if one of them is
+/// degenerate.
 double fold(const Eigen::Vector3d& a, const Eigen::Vector3d& b, const Eigen::Vector3d& c,
             const Eigen::Vector3d& d) {
   const Eigen::Vector3d first = (b - a).cross(c - a);
@@ -84,7 +85,8 @@ void clip_ears(const Eigen::MatrixXd& vertices, const std::vector<int>& polygon,
     const size_t n = ring.size();
     size_t ear = start % n;
     for (size_t step = 0; step < n && !is_ear(flat, ring, ear); ++step) ear = (ear + 1) % n;
-    // A self-crossing polygon may have no ear: any corner then, so that the loop ends with n - 2 triangles.
+    // A self-crossing polygon may have no ear: any corner then, so that the loop ends with n - 2
+    // triangles.
     out.emplace_back(polygon[ring[(ear + n - 1) % n]], polygon[ring[ear]],
                      polygon[ring[(ear + 1) % n]]);
     ring.erase(ring.begin() + static_cast<std::ptrdiff_t>(ear));
@@ -97,7 +99,8 @@ void clip_ears(const Eigen::MatrixXd& vertices, const std::vector<int>& polygon,
 
 Triangulation triangulate(const Eigen::MatrixXd& vertices,
                           const std::vector<std::vector<int>>& polygons) {
-  constexpr size_t kMaxEarClipping = 2000;  // Ear clipping is cubic at worst: larger ones are fanned.
+  constexpr size_t kMaxEarClipping =
+      2000;  // Ear clipping is cubic at worst: larger ones are fanned.
   std::vector<Eigen::Vector3i> triangles;
   triangles.reserve(polygons.size() * 2);
   Triangulation result;

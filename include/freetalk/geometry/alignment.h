@@ -1,7 +1,8 @@
 // Brings a face or head mesh of any unit and pose to the frame of a face template.
 //
-// The 24 axis orientations x scales x positions are started from, scored with a truncated point-to-plane distance
-// with normals in both directions, refined by similarity ICP (halving the field round by round).
+// The 24 axis orientations x scales x positions are started from, scored with a truncated
+// point-to-plane distance with normals in both directions, refined by similarity ICP (halving the
+// field round by round).
 #pragma once
 
 #include <Eigen/Core>
@@ -25,8 +26,9 @@ struct Similarity {
 };
 
 struct AlignOptions {
-  std::string unit = "auto";     // "auto", "m", "cm", "mm", "in"
-  std::string up = "auto";       // "auto", "+x", "-x", "+y", "-y", "+z", "-z": the mesh axis towards the top of the head
+  std::string unit = "auto";  // "auto", "m", "cm", "mm", "in"
+  std::string up = "auto";  // "auto", "+x", "-x", "+y", "-y", "+z", "-z": the mesh axis towards the
+                            // top of the head
   std::string forward = "auto";  // likewise: the mesh axis out of the face
 
   template <class Visitor>
@@ -39,21 +41,26 @@ struct AlignOptions {
 };
 
 struct Alignment {
-  Similarity to_canonical;      ///< mesh unit and pose -> the template's frame (metres)
-  std::string unit;             ///< "m", "cm", "mm", "in", or "arbitrary" if none makes a human face
-  std::string up, forward;      ///< nearest mesh axes, "+y" ...
-  bool guessed = false;         ///< whether any of unit, up, forward was "auto"
-  double residual_m = 0.0;      ///< mean distance over the best 70 % of the template's points, metres
-  bool face_like = true;        ///< residual_m <= kFaceResidual: what was found looks like a face
+  Similarity to_canonical;  ///< mesh unit and pose -> the template's frame (metres)
+  std::string unit;         ///< "m", "cm", "mm", "in", or "arbitrary" if none makes a human face
+  std::string up, forward;  ///< nearest mesh axes, "+y" ...
+  bool guessed = false;     ///< whether any of unit, up, forward was "auto"
+  double residual_m = 0.0;  ///< mean distance over the best 85 % of the template's middle
+  double normal_degrees = 0.0;  ///< mean angle between the normals there
+  bool face_like = true;        ///< both below their bounds: what was found looks like a face
   std::string summary;          ///< "guessed unit cm, +Y up, +Z forward; fit residual 2.1 mm"
 };
 
-/// Residuals above this are not faces: human heads fit to 1-3 mm, other shapes to more than 5 mm.
-constexpr double kFaceResidual = 4.5e-3;
+/// Bounds of what looks like a face: human heads fit to 0.5-2.5 mm and 3-11 degrees.
+constexpr double kFaceResidual = 4.0e-3;
+constexpr double kFaceDegrees = 13.0;
 
-/// @param vertices (V, 3), faces (F, 3): a face mask, a head, a bust; the largest part is fitted, other parts follow.
-/// @param template_points (P, 3) m, template_normals (P, 3): samples of the mean face in the canonical frame.
-/// @throws std::invalid_argument for bad options, a template of fewer than 100 points, a surface without area.
+/// @param vertices (V, 3), faces (F, 3): a face mask, a head, a bust; the largest part is fitted,
+/// other parts follow.
+/// @param template_points (P, 3) m, template_normals (P, 3): samples of the mean face in the
+/// canonical frame.
+/// @throws std::invalid_argument for bad options, a template of fewer than 100 points, a surface
+/// without area.
 Alignment align_to_template(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
                             const Eigen::MatrixXd& template_points,
                             const Eigen::MatrixXd& template_normals,
@@ -65,7 +72,8 @@ struct SurfaceSamples {
   Eigen::MatrixXd normals;  ///< (N, 3) unit, interpolated vertex normals
 };
 
-/// `num_points` samples spread evenly by area (systematic along the faces, low-discrepancy within them).
+/// `num_points` samples spread evenly by area (systematic along the faces, low-discrepancy within
+/// them).
 SurfaceSamples sample_surface(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
                               int64_t num_points, uint64_t seed = 0);
 

@@ -14,7 +14,8 @@ namespace freetalk::geometry {
 struct Mesh {
   Eigen::MatrixXd vertices;  ///< (V, 3), the file's unit and order; unreferenced vertices are kept.
   Eigen::MatrixXi faces;     ///< (F, 3) triangles.
-  /// Vertex indices of each polygon as in the file; empty if every polygon is a triangle (then `faces`).
+  /// Vertex indices of each polygon as in the file; empty if every polygon is a triangle (then
+  /// `faces`).
   std::vector<std::vector<int>> polygons;
   Eigen::MatrixXd texcoords;  ///< (Vt, 2); empty without texture coordinates.
   /// Rows of `texcoords` of each polygon's corners (of each triangle's if `polygons` is empty); an
@@ -39,24 +40,28 @@ struct Triangulation {
   std::vector<int> face_polygon;  ///< (F,)
 };
 
-/// Cuts polygons into triangles: quads along the diagonal that folds least (inside the polygon if it is not
-/// convex), larger ones by ear clipping in their mean plane. Polygons of fewer than three corners give none.
+/// Cuts polygons into triangles: quads along the diagonal that folds least (inside the polygon if
+/// it is not convex), larger ones by ear clipping in their mean plane. Polygons of fewer than three
+/// corners give none.
 Triangulation triangulate(const Eigen::MatrixXd& vertices,
                           const std::vector<std::vector<int>>& polygons);
 
 /// A mesh of polygons given in memory (texture coordinates optional), with the door's checks.
-/// @throws std::invalid_argument naming `name` for no vertices, no faces, indices out of range, NaN.
+/// @throws std::invalid_argument naming `name` for no vertices, no faces, indices out of range,
+/// NaN.
 Mesh make_mesh(Eigen::MatrixXd vertices, std::vector<std::vector<int>> polygons,
                Eigen::MatrixXd texcoords, std::vector<std::vector<int>> polygon_texcoords,
                std::string name);
 
-/// Reads an OBJ, PLY, OFF or STL file. No face is dropped: non-manifold, duplicate and degenerate ones stay.
-/// @throws std::runtime_error, one sentence naming the file and what to do: missing, empty, not a mesh,
+/// Reads an OBJ, PLY, OFF or STL file. No face is dropped: non-manifold, duplicate and degenerate
+/// ones stay.
+/// @throws std::runtime_error, one sentence naming the file and what to do: missing, empty, not a
+/// mesh,
 ///   no faces, indices out of range, vertices that are not finite.
 Mesh load_mesh(const std::filesystem::path& path);
 
-/// Writes an OBJ or PLY (by extension) atomically: polygons, texture coordinates and vertex order are kept. PLY
-/// holds texture coordinates per face corner, as MeshLab does.
+/// Writes an OBJ or PLY (by extension) atomically: polygons, texture coordinates and vertex order
+/// are kept. PLY holds texture coordinates per face corner, as MeshLab does.
 /// @throws std::runtime_error naming the file if it cannot be written.
 void save_mesh(const std::filesystem::path& path, const Mesh& mesh);
 

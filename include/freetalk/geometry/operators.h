@@ -1,4 +1,5 @@
-// Everything a DiffusionNet needs of a mesh: mass, eigenbasis, gradients, normals; computed once, cached on disk.
+// Everything a DiffusionNet needs of a mesh: mass, eigenbasis, gradients, normals; computed once,
+// cached on disk.
 #pragma once
 
 #include <ATen/core/Tensor.h>
@@ -11,10 +12,11 @@
 namespace freetalk::geometry {
 
 struct OperatorOptions {
-  int64_t k_eig = 128;               // K, number of eigenpairs; 1 .. V
-  std::string laplacian = "cotan";   // "cotan"
-  // "relative": guards relative to each element's size, so that operators follow a uniform scale exactly;
-  // "absolute": the public diffusion_net package's constants (1e-10, 1e-5), which suit meshes of unit size only.
+  int64_t k_eig = 128;              // K, number of eigenpairs; 1 .. V
+  std::string laplacian = "cotan";  // "cotan"
+  // "relative": guards relative to each element's size, so that operators follow a uniform scale
+  // exactly; "absolute": the public diffusion_net package's constants (1e-10, 1e-5), which suit
+  // meshes of unit size only.
   std::string regularization = "relative";
   double residual_tolerance = 1e-6;  // largest eigen-residual accepted (see eigenbasis.h)
 
@@ -30,10 +32,10 @@ struct OperatorOptions {
 
 /// Operators of a surface; float64 on the CPU until `to` is called.
 struct SurfaceOperators {
-  at::Tensor mass;                  ///< (V,) length^2
-  at::Tensor evals;                 ///< (K,) 1 / length^2
-  at::Tensor evecs;                 ///< (V, K) 1 / length, mass-orthonormal
-  at::Tensor gradients;             ///< (2V, V) sparse CSR, 1 / length: X components, then Y components
+  at::Tensor mass;       ///< (V,) length^2
+  at::Tensor evals;      ///< (K,) 1 / length^2
+  at::Tensor evecs;      ///< (V, K) 1 / length, mass-orthonormal
+  at::Tensor gradients;  ///< (2V, V) sparse CSR, 1 / length: X components, then Y components
   at::Tensor gradients_transposed;  ///< (V, 2V) sparse CSR
   at::Tensor normals;               ///< (V, 3)
   at::Tensor frames;                ///< (V, 3, 3) rows X, Y, normal
@@ -59,9 +61,10 @@ SurfaceOperators surface_operators(const Eigen::MatrixXd& vertices, const Eigen:
 /// $FREETALK_CACHE, or $XDG_CACHE_HOME/freetalk, or ~/.cache/freetalk.
 std::filesystem::path default_cache_dir();
 
-/// As surface_operators, kept in `cache_dir`/operators under a key of content, options and version. Several
-/// processes may share the folder: files are written atomically and a damaged one is computed again. Beyond
-/// `max_bytes` the entries unused for longest go. An unwritable folder costs the cache, not the result.
+/// As surface_operators, kept in `cache_dir`/operators under a key of content, options and version.
+/// Several processes may share the folder: files are written atomically and a damaged one is
+/// computed again. Beyond `max_bytes` the entries unused for longest go. An unwritable folder costs
+/// the cache, not the result.
 /// @param cache_dir empty for default_cache_dir().
 SurfaceOperators cached_surface_operators(const Eigen::MatrixXd& vertices,
                                           const Eigen::MatrixXi& faces,

@@ -1,5 +1,6 @@
-// Quantities of triangle meshes: normals, areas, components, cotangent Laplacian, lumped mass, gradient.
-// V (V, 3) double, F (F, 3) int throughout; faces may be degenerate, repeated, non-manifold; vertices unreferenced.
+// Quantities of triangle meshes: normals, areas, components, cotangent Laplacian, lumped mass,
+// gradient. V (V, 3) double, F (F, 3) int throughout; faces may be degenerate, repeated,
+// non-manifold; vertices unreferenced.
 #pragma once
 
 #include <Eigen/Core>
@@ -16,7 +17,8 @@ using RowSparseMatrix = Eigen::SparseMatrix<double, Eigen::RowMajor>;
 /// How divisions by small numbers are guarded.
 enum class Regularization {
   kRelative,  ///< Relative to each element's own size: operators follow a uniform scale exactly.
-  kAbsolute,  ///< The absolute constants of the public `diffusion_net` package (1e-10, 1e-5): parity with it.
+  kAbsolute,  ///< The absolute constants of the public `diffusion_net` package (1e-10, 1e-5):
+              ///< parity with it.
 };
 
 /// (F,) areas.
@@ -25,27 +27,32 @@ Eigen::VectorXd face_areas(const Eigen::MatrixXd& vertices, const Eigen::MatrixX
 /// (F, 3) unit normals; zero for degenerate faces.
 Eigen::MatrixXd face_normals(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces);
 
-/// (V, 3) unit normals, the unweighted mean of the unit normals of the faces around; +Z where there is none.
+/// (V, 3) unit normals, the unweighted mean of the unit normals of the faces around; +Z where there
+/// is none.
 Eigen::MatrixXd vertex_normals(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces);
 
-/// (V,) component of each vertex, numbered in order of first vertex; an unreferenced vertex is its own.
+/// (V,) component of each vertex, numbered in order of first vertex; an unreferenced vertex is its
+/// own.
 Eigen::VectorXi connected_components(int64_t num_vertices, const Eigen::MatrixXi& faces);
 
 /// (V,) for each vertex the first one at the same position (itself if there is none before).
 Eigen::VectorXi coincident_vertices(const Eigen::MatrixXd& vertices);
 
-/// (V, V) cotangent Laplacian, positive semi-definite: L_ij = -(cot a_ij + cot b_ij) / 2, rows sum to zero.
+/// (V, V) cotangent Laplacian, positive semi-definite: L_ij = -(cot a_ij + cot b_ij) / 2, rows sum
+/// to zero.
 SparseMatrix cotan_laplacian(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
                              Regularization regularization = Regularization::kRelative);
 
 /// (V,) a third of the area of the faces around, plus 1e-8 of the mean so that none is zero.
 Eigen::VectorXd lumped_mass(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces);
 
-/// (V, 9) row-major 3x3 frames, rows X, Y, N: X is the world's X (Y where |n_x| >= 0.9) made tangent, Y = N x X.
+/// (V, 9) row-major 3x3 frames, rows X, Y, N: X is the world's X (Y where |n_x| >= 0.9) made
+/// tangent, Y = N x X.
 Eigen::MatrixXd tangent_frames(const Eigen::MatrixXd& normals);
 
-/// (2V, V) gradient in the tangent frames, rows 0..V-1 the X and V..2V-1 the Y component: per vertex the least
-/// squares fit of a linear function to the differences along its edges, (EtE + e I)^-1 Et.
+/// (2V, V) gradient in the tangent frames, rows 0..V-1 the X and V..2V-1 the Y component: per
+/// vertex the least squares fit of a linear function to the differences along its edges, (EtE + e
+/// I)^-1 Et.
 RowSparseMatrix vertex_gradient(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
                                 const Eigen::MatrixXd& frames,
                                 Regularization regularization = Regularization::kRelative);

@@ -1,0 +1,185 @@
+#include <pybind11/eigen.h>
+#include <pybind11/stl/filesystem.h>
+#include <torch/extension.h>
+
+#include "bind_options.h"
+#include "freetalk/geometry/alignment.h"
+#include "freetalk/geometry/mesh.h"
+#include "freetalk/geometry/operators.h"
+#include "freetalk/geometry/surface.h"
+
+namespace {
+
+namespace py = pybind11;
+namespace geometry = freetalk::geometry;
+using NoGil = py::call_guard<py::gil_scoped_release>;
+
+void bind_mesh(py::module_& m) {
+  py::class_<geometry::Mesh>(m, "Mesh", "A polygon mesh as its file has it, plus its triangles.")
+      .def(py::init(&geometry::make_mesh), py::arg("vertices"), py::arg("polygons"), py::kw_only(),
+           py::arg("texcoords") = Eigen::MatrixXd(0, 2),
+           py::arg("polygon_texcoords") = std::vector<std::vector<int>>(), py::arg("name") = "mesh",
+           NoGil())
+      .def_property(
+          "vertices",
+          [](const geometry::Mesh& mesh) -> const Eigen::MatrixXd& { return mesh.vertices; },
+          [](geometry::Mesh& mesh, const Eigen::MatrixXd& vertices) {
+            FREETALK_CHECK(vertices.rows() == mesh.vertices.rows() && vertices.cols() == 3,
+                           "vertices of ", mesh.name, " must keep their shape (",
+                           mesh.vertices.rows(), ", 3), found (", vertices.rows(), ", ",
+                           vertices.cols(), ")");
+            mesh.vertices = vertices;
+          },
+          "(V, 3) float64, the file's unit.")
+      .def_readonly("faces", &geometry::Mesh::faces, "(F, 3) int32 triangles.")
+      .def_readonly("polygons", &geometry::Mesh::polygons,
+                    "Vertex indices of each polygon as in the file; empty if all are triangles.")
+      .def_readonly("texcoords", &geometry::Mesh::texcoords, "(Vt, 2) float64; (0, 2) without.")
+      .def_readonly("polygon_texcoords", &geometry::Mesh::polygon_texcoords,
+                    "Rows of texcoords of each polygon's corners.")
+      .def_readonly("face_polygon", &geometry::Mesh::face_polygon,
+                    "(F,) the polygon each triangle was cut from.")
+      .def_readwrite("name", &geometry::Mesh::name, "The file's name, for messages.")
+      .def("__repr__", [](const geometry::Mesh& mesh) {
+        return "Mesh(name='" + mesh.name + "', vertices=" + std::to_string(mesh.num_vertices()) +
+               ", polygons=" + std::to_string(mesh.num_polygons()) +
+               ", triangles=" + std::to_string(mesh.num_faces()) + ")";
+      });
+  m.def("load_mesh", &geometry::load_mesh, py::arg("path"), NoGil(),
+        "Reads an OBJ, PLY, OFF or STL file.");
+  m.def("save_mesh", &geometry::save_mesh, py::arg("path"), py::arg("mesh"), NoGil(),
+        "Writes an OBJ or PLY file atomically.");
+}
+
+void bind_surface(py::module_& m) {
+  m.def("vertex_normals", &geometry::vertex_normals, py::arg("vertices"), py::arg("faces"), NoGil(),
+        "(V, 3) unit vertex normals.");
+  m.def("face_areas", &geometry::face_areas, py::arg("vertices"), py::arg("faces"), NoGil(),
+        "(F,) areas.");
+  m.def("connected_components", &geometry::connected_components, py::arg("num_vertices"),
+        py::arg("faces"), NoGil(), "(V,) component of each vertex.");
+  m.def("lumped_mass", &geometry::lumped_mass, py::arg("vertices"), py::arg("faces"), NoGil(),
+        "(V,) lumped mass.");
+  m.def(
+      "cotan_laplacian",
+      [](const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
+         const std::string& regularization) {
+        geometry::OperatorOptions options;
+        options.regularization = regularization;
+        options.check();
+        return geometry::cotan_laplacian(vertices, faces,
+                                         regularization == "absolute"
+                                             ? geometry::Regularization::kAbsolute
+                                             : geometry::Regularization::kRelative);
+      },
+      py::arg("vertices"), py::arg("faces"), py::kw_only(), py::arg("regularization") = "relative",
+      "(V, V) cotangent Laplacian as a scipy sparse matrix, positive semi-definite.");
+}
+
+void bind_operators(py::module_& m) {
+  freetalk::bindings::bind_options<geometry::OperatorOptions>(
+      m, "OperatorOptions", "What is computed of a surface, and how exactly.");
+  using geometry::SurfaceOperators;
+  py::class_<SurfaceOperators>(m, "SurfaceOperators",
+                               "Mass, eigenbasis and gradients of a surface.")
+      .def_readonly("mass", &SurfaceOperators::mass, "(V,) length^2.")
+      .def_readonly("evals", &SurfaceOperators::evals, "(K,) 1 / length^2, ascending.")
+      .def_readonly("evecs", &SurfaceOperators::evecs, "(V, K) 1 / length, mass-orthonormal.")
+      .def_readonly("gradients", &SurfaceOperators::gradients,
+                    "(2V, V) sparse CSR: X, then Y components in the tangent frames.")
+      .def_readonly("gradients_transposed", &SurfaceOperators::gradients_transposed,
+                    "(V, 2V) sparse CSR.")
+      .def_readonly("normals", &SurfaceOperators::normals, "(V, 3).")
+      .def_readonly("frames", &SurfaceOperators::frames, "(V, 3, 3) rows X, Y, normal.")
+      .def_readonly("residuals", &SurfaceOperators::residuals, "(K,) relative eigen-residuals.")
+      .def("scaled", &SurfaceOperators::scaled, py::arg("factor"),
+           "Operators of the same surface scaled uniformly.")
+      .def(
+          "turned",
+          [](const SurfaceOperators& self, const at::Tensor& rotation) {
+            const auto turn = rotation.to(self.normals.options());
+            SurfaceOperators result = self;  // all else is intrinsic
+            result.normals = self.normals.matmul(turn.t());
+            result.frames = self.frames.matmul(turn.t());
+            return result;
+          },
+          py::arg("rotation"), NoGil(),
+          "Operators of the same surface turned by a rotation (3, 3).")
+      .def(
+          "to",
+          [](const SurfaceOperators& self, const py::object& dtype, const py::object& device) {
+            const auto scalar = torch::python::detail::py_object_to_dtype(dtype);
+            return self.to(scalar, torch::python::detail::py_object_to_device(
+                                       py::module_::import("torch").attr("device")(device)));
+          },
+          py::arg("dtype"), py::arg("device") = "cpu", "A copy with another dtype and device.")
+      .def("__repr__", [](const SurfaceOperators& self) {
+        return "SurfaceOperators(vertices=" + std::to_string(self.num_vertices()) +
+               ", k_eig=" + std::to_string(self.k_eig()) + ")";
+      });
+  m.def("surface_operators", &geometry::surface_operators, py::arg("vertices"), py::arg("faces"),
+        py::kw_only(), py::arg("options") = geometry::OperatorOptions{}, py::arg("name") = "mesh",
+        NoGil(), "Operators of a surface, computed.");
+  m.def("cached_surface_operators", &geometry::cached_surface_operators, py::arg("vertices"),
+        py::arg("faces"), py::kw_only(), py::arg("options") = geometry::OperatorOptions{},
+        py::arg("cache_dir") = std::filesystem::path(), py::arg("name") = "mesh",
+        py::arg("max_bytes") = int64_t{4} << 30, NoGil(),
+        "Operators of a surface, from the disk cache where they are there.");
+  m.def("default_cache_dir", &geometry::default_cache_dir, "The folder of the disk cache.");
+}
+
+void bind_alignment(py::module_& m) {
+  freetalk::bindings::bind_options<geometry::AlignOptions>(m, "AlignOptions",
+                                                           "What is known of a mesh's frame.");
+  using geometry::Alignment;
+  using geometry::Similarity;
+  py::class_<Similarity>(m, "Similarity", "x -> scale * rotation * x + translation.")
+      .def(py::init([](double scale, const Eigen::Matrix3d& rotation,
+                       const Eigen::Vector3d& translation) {
+             return Similarity{scale, rotation, translation};
+           }),
+           py::arg("scale") = 1.0,
+           py::arg("rotation") = Eigen::Matrix3d(Eigen::Matrix3d::Identity()), py::kw_only(),
+           py::arg("translation") = Eigen::Vector3d(Eigen::Vector3d::Zero()))
+      .def_readonly("scale", &Similarity::scale)
+      .def_readonly("rotation", &Similarity::rotation, "(3, 3).")
+      .def_readonly("translation", &Similarity::translation, "(3,).")
+      .def("apply", &Similarity::apply, py::arg("points"), "(N, 3) points moved.")
+      .def("apply_vectors", &Similarity::apply_vectors, py::arg("vectors"),
+           "(N, 3) vectors turned and scaled, not translated.")
+      .def("inverse", &Similarity::inverse)
+      .def("compose", &Similarity::compose, py::arg("first"), "First `first`, then this.");
+  py::class_<Alignment>(m, "Alignment", "A mesh's way to the canonical frame.")
+      .def_readonly("to_canonical", &Alignment::to_canonical)
+      .def_readonly("unit", &Alignment::unit)
+      .def_readonly("up", &Alignment::up)
+      .def_readonly("forward", &Alignment::forward)
+      .def_readonly("guessed", &Alignment::guessed)
+      .def_readonly("residual_m", &Alignment::residual_m)
+      .def_readonly("normal_degrees", &Alignment::normal_degrees)
+      .def_readonly("face_like", &Alignment::face_like)
+      .def_readonly("summary", &Alignment::summary)
+      .def("__repr__", [](const Alignment& self) { return "Alignment(" + self.summary + ")"; });
+  m.def("align_to_template", &geometry::align_to_template, py::arg("vertices"), py::arg("faces"),
+        py::kw_only(), py::arg("template_points"), py::arg("template_normals"),
+        py::arg("options") = geometry::AlignOptions{}, NoGil(),
+        "Brings a face or head of any unit and pose to a template's frame.");
+  m.def(
+      "sample_surface",
+      [](const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces, int64_t num_points,
+         uint64_t seed) {
+        auto samples = geometry::sample_surface(vertices, faces, num_points, seed);
+        return std::make_pair(std::move(samples.points), std::move(samples.normals));
+      },
+      py::arg("vertices"), py::arg("faces"), py::kw_only(), py::arg("num_points"),
+      py::arg("seed") = 0, NoGil(), "Points and normals spread evenly over a surface.");
+}
+
+}  // namespace
+
+void bind_geometry(py::module_& m) {
+  bind_mesh(m);
+  bind_surface(m);
+  bind_operators(m);
+  bind_alignment(m);
+}

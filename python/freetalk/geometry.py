@@ -1,0 +1,188 @@
+"""Meshes, surface operators and alignment: the geometry room as Python sees it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from freetalk._native import geometry as _native
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+Alignment = _native.Alignment
+AlignOptions = _native.AlignOptions
+Mesh = _native.Mesh
+OperatorOptions = _native.OperatorOptions
+Similarity = _native.Similarity
+SurfaceOperators = _native.SurfaceOperators
+
+__all__ = [
+    "AlignOptions",
+    "Alignment",
+    "Mesh",
+    "OperatorOptions",
+    "Similarity",
+    "SurfaceOperators",
+    "align_to_template",
+    "connected_components",
+    "cotan_laplacian",
+    "default_cache_dir",
+    "face_areas",
+    "load_mesh",
+    "lumped_mass",
+    "sample_template",
+    "save_mesh",
+    "surface_operators",
+    "vertex_normals",
+]
+
+default_cache_dir = _native.default_cache_dir
+cotan_laplacian = _native.cotan_laplacian
+
+
+def _array(values: ArrayLike | torch.Tensor, dtype: type) -> NDArray:
+    if isinstance(values, torch.Tensor):
+        values = values.detach().cpu().numpy()
+    array = np.asarray(values)
+    if dtype is np.int32 and array.size > 0 and not np.issubdtype(array.dtype, np.integer):
+        raise ValueError(f"faces must be integers, found {array.dtype}")
+    return np.asarray(array, dtype=dtype)
+
+
+def load_mesh(path: str | os.PathLike[str]) -> Mesh:
+    """Reads an OBJ, PLY, OFF or STL file.
+
+    Args:
+        path: the file.
+
+    Returns:
+        The mesh with the file's vertices in the file's order, its polygons, texture coordinates and
+        a triangulation.
+
+    Raises:
+        RuntimeError: missing, empty, not a mesh, no faces, indices out of range or NaN vertices; one
+            sentence naming the file and what to do.
+    """
+    return _native.load_mesh(Path(path))
+
+
+def save_mesh(path: str | os.PathLike[str], mesh: Mesh) -> None:
+    """Writes an OBJ or PLY file (by extension) atomically, polygons and texture coordinates kept."""
+    _native.save_mesh(Path(path), mesh)
+
+
+def vertex_normals(vertices: ArrayLike | torch.Tensor, faces: ArrayLike | torch.Tensor) -> NDArray:
+    """(V, 3) unit vertex normals: the mean of the unit normals of the faces around."""
+    return _native.vertex_normals(_array(vertices, np.float64), _array(faces, np.int32))
+
+
+def face_areas(vertices: ArrayLike | torch.Tensor, faces: ArrayLike | torch.Tensor) -> NDArray:
+    """(F,) areas of triangles."""
+    return _native.face_areas(_array(vertices, np.float64), _array(faces, np.int32))
+
+
+def lumped_mass(vertices: ArrayLike | torch.Tensor, faces: ArrayLike | torch.Tensor) -> NDArray:
+    """(V,) a third of the area of the faces around each vertex."""
+    return _native.lumped_mass(_array(vertices, np.float64), _array(faces, np.int32))
+
+
+def connected_components(num_vertices: int, faces: ArrayLike | torch.Tensor) -> NDArray:
+    """(V,) component of each vertex; an unreferenced vertex is one of its own."""
+    return _native.connected_components(num_vertices, _array(faces, np.int32))
+
+
+def surface_operators(
+    vertices: ArrayLike | torch.Tensor,
+    faces: ArrayLike | torch.Tensor,
+    k: int = 128,
+    cache: bool | str | os.PathLike[str] = True,
+    *,
+    regularization: str = "relative",
+    name: str = "mesh",
+) -> SurfaceOperators:
+    """Mass, eigenbasis, gradients and normals of a surface, in float64 on the CPU.
+
+    Args:
+        vertices: (V, 3) any unit.
+        faces: (F, 3) integer triangles.
+        k: number of eigenpairs, at most V.
+        cache: keep the result on disk: True for the default folder ($FREETALK_CACHE or
+            ~/.cache/freetalk), a path for another, False to compute.
+        regularization: "relative" (operators follow a uniform scale exactly) or "absolute" (the
+            constants of the public ``diffusion_net`` package).
+        name: names the mesh in messages.
+
+    Returns:
+        The operators; ``.to(dtype, device)`` and ``.scaled(factor)`` give converted ones.
+
+    Raises:
+        ValueError: NaN, indices out of range, more eigenpairs than vertices, no area.
+        RuntimeError: the eigensolver did not converge; names the mesh.
+    """
+    options = OperatorOptions(k_eig=int(k), regularization=regularization)
+    points, triangles = _array(vertices, np.float64), _array(faces, np.int32)
+    if cache is False:
+        return _native.surface_operators(points, triangles, options=options, name=name)
+    folder = Path() if cache is True else Path(cache)
+    if cache is True:
+        folder = default_cache_dir()
+    return _native.cached_surface_operators(
+        points, triangles, options=options, cache_dir=folder, name=name
+    )
+
+
+def sample_template(
+    vertices: ArrayLike | torch.Tensor,
+    faces: ArrayLike | torch.Tensor,
+    num_points: int = 3000,
+    seed: int = 0,
+) -> tuple[NDArray, NDArray]:
+    """Samples a surface evenly, for use as an alignment template.
+
+    Returns:
+        points (P, 3) and unit normals (P, 3), in the frame of ``vertices``.
+    """
+    return _native.sample_surface(
+        _array(vertices, np.float64), _array(faces, np.int32), num_points=num_points, seed=seed
+    )
+
+
+def align_to_template(
+    vertices: ArrayLike | torch.Tensor,
+    faces: ArrayLike | torch.Tensor,
+    template_points: ArrayLike | torch.Tensor,
+    template_normals: ArrayLike | torch.Tensor,
+    *,
+    unit: str = "auto",
+    up: str = "auto",
+    forward: str = "auto",
+) -> Alignment:
+    """Brings a face or head mesh of any unit and pose to the frame of a face template.
+
+    Args:
+        vertices: (V, 3) a face mask, head or bust; its largest part is fitted.
+        faces: (F, 3) triangles.
+        template_points: (P, 3) metres, samples of the mean face in the canonical frame.
+        template_normals: (P, 3) their unit normals.
+        unit: "auto", "m", "cm", "mm" or "in".
+        up: "auto" or the mesh axis towards the top of the head: "+x", "-x", "+y", ...
+        forward: "auto" or the mesh axis out of the face.
+
+    Returns:
+        The similarity to the canonical frame, what was guessed, the residual and a summary.
+
+    Raises:
+        ValueError: an unknown unit or axis, a template of fewer than 100 points, no area.
+    """
+    return _native.align_to_template(
+        _array(vertices, np.float64),
+        _array(faces, np.int32),
+        template_points=_array(template_points, np.float64),
+        template_normals=_array(template_normals, np.float64),
+        options=AlignOptions(unit=unit, up=up, forward=forward),
+    )
