@@ -1,0 +1,31 @@
+"""
+Native rooms of freetalk.
+"""
+
+from __future__ import annotations
+from . import core
+from . import audio
+from . import geometry
+from . import nn
+from . import speech
+from . import diffusion
+from . import ats
+from . import stm
+from . import animation
+from . import talker
+
+__all__: list[str] = [
+    "animation",
+    "ats",
+    "audio",
+    "core",
+    "diffusion",
+    "geometry",
+    "nn",
+    "speech",
+    "stm",
+    "talker",
+    "torch_version",
+]
+__version__: str = "0.1.0"
+torch_version: str = "2.13.0"

@@ -1,0 +1,80 @@
+from __future__ import annotations
+import freetalk._native.geometry
+import torch
+import typing
+
+__all__: list[str] = ["MeshFeatures", "StmImpl", "StmOptions"]
+
+class StmOptions:
+    """
+    Options of STM [FreeTalk 3.2].
+    """
+
+    __hash__: typing.ClassVar[None] = None
+    attention_dim: typing.Any
+    attention_heads: typing.Any
+    decoder_blocks: typing.Any
+    decoder_width: typing.Any
+    displacement_scale: typing.Any
+    dropout: typing.Any
+    encoder_blocks: typing.Any
+    encoder_width: typing.Any
+    feature_dim: typing.Any
+    gcn_hidden: typing.Any
+    gcn_layers: typing.Any
+    index_code_dim: typing.Any
+    k_eig: typing.Any
+    length_scale: typing.Any
+    @staticmethod
+    def from_dict(arg0: dict) -> StmOptions:
+        """
+        Options from a mapping; an unknown key is a ValueError naming the nearest known one.
+        """
+    def __eq__(self, arg0: StmOptions) -> bool: ...
+    def __getstate__(self) -> tuple[str]: ...
+    def __init__(self, **kwargs) -> None: ...
+    def __repr__(self) -> str: ...
+    def __setstate__(self, arg0: tuple) -> None: ...
+    def to_dict(self) -> dict:
+        """
+        All fields by name.
+        """
+
+class MeshFeatures:
+    """
+    What STM computes of a mesh once.
+    """
+    @property
+    def hidden(self) -> torch.Tensor: ...
+    @property
+    def queries(self) -> torch.Tensor: ...
+
+class StmImpl:
+    def __init__(self, options: StmOptions) -> None: ...
+    def decode(
+        self,
+        mesh: MeshFeatures,
+        operators: freetalk._native.geometry.SurfaceOperators,
+        landmarks: torch.Tensor,
+    ) -> torch.Tensor: ...
+    def encode(
+        self, positions: torch.Tensor, operators: freetalk._native.geometry.SurfaceOperators
+    ) -> MeshFeatures: ...
+    def forward(
+        self,
+        positions: torch.Tensor,
+        operators: freetalk._native.geometry.SurfaceOperators,
+        landmarks: torch.Tensor,
+    ) -> torch.Tensor: ...
+    def frames_per_chunk(
+        self,
+        num_vertices: typing.SupportsInt | typing.SupportsIndex,
+        memory_bytes: typing.SupportsInt | typing.SupportsIndex,
+    ) -> int: ...
+    def named_buffers(self) -> list[tuple[str, torch.Tensor]]: ...
+    def named_parameters(self) -> list[tuple[str, torch.Tensor]]: ...
+    def train(self, mode: bool) -> None: ...
+    @property
+    def options(self) -> StmOptions: ...
+    @property
+    def training(self) -> bool: ...
