@@ -1,4 +1,5 @@
-// Binds an options struct from its one list of fields: keyword constructor, attributes, dict, repr, pickle.
+// Binds an options struct from its one list of fields: keyword constructor, attributes, dict, repr,
+// pickle.
 #pragma once
 
 #include <torch/extension.h>
@@ -35,26 +36,29 @@ py::class_<Options> bind_options(py::module_& m, const char* name, const char* d
     update_options(options, values, type_name);
     return options;
   }));
-  type.def("to_dict", [](const Options& self) { return options_dict(core::list_options(self)); },
-           "All fields by name.");
-  type.def_static("from_dict", [type_name](const py::dict& values) {
-    Options options;
-    update_options(options, values, type_name);
-    return options;
-  }, "Options from a mapping; an unknown key is a ValueError naming the nearest known one.");
-  type.def("__repr__", [type_name](const Options& self) {
-    return type_name + core::options_to_json(self);
-  });
+  type.def(
+      "to_dict", [](const Options& self) { return options_dict(core::list_options(self)); },
+      "All fields by name.");
+  type.def_static(
+      "from_dict",
+      [type_name](const py::dict& values) {
+        Options options;
+        update_options(options, values, type_name);
+        return options;
+      },
+      "Options from a mapping; an unknown key is a ValueError naming the nearest known one.");
+  type.def("__repr__",
+           [type_name](const Options& self) { return type_name + core::options_to_json(self); });
   type.def("__eq__", [](const Options& a, const Options& b) {
     return core::options_to_json(a) == core::options_to_json(b);
   });
-  type.def(py::pickle(
-      [](const Options& self) { return py::make_tuple(core::options_to_json(self)); },
-      [type_name](const py::tuple& state) {
-        Options options;
-        core::options_from_json(options, state[0].cast<std::string>(), type_name);
-        return options;
-      }));
+  type.def(
+      py::pickle([](const Options& self) { return py::make_tuple(core::options_to_json(self)); },
+                 [type_name](const py::tuple& state) {
+                   Options options;
+                   core::options_from_json(options, state[0].cast<std::string>(), type_name);
+                   return options;
+                 }));
   const auto fields = core::list_options(Options{});
   for (size_t index = 0; index < fields.size(); ++index) {
     const std::string field = fields[index].name;

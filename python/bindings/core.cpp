@@ -9,7 +9,8 @@ namespace py = pybind11;
 
 void bind_core(py::module_& m) {
   m.def("load_safetensors", &freetalk::core::load_safetensors, py::arg("path"),
-        py::call_guard<py::gil_scoped_release>(), "Tensors of a safetensors file by name, memory-mapped.");
+        py::call_guard<py::gil_scoped_release>(),
+        "Tensors of a safetensors file by name, memory-mapped.");
   m.def("save_safetensors", &freetalk::core::save_safetensors, py::arg("path"), py::arg("tensors"),
         py::arg("metadata") = freetalk::core::Metadata{}, py::call_guard<py::gil_scoped_release>(),
         "Writes tensors by name to a safetensors file, atomically.");

@@ -11,11 +11,12 @@ namespace fd = freetalk::diffusion;
 namespace {
 
 void bind_schedule(py::module_& m) {
-  freetalk::bindings::bind_options<fd::ScheduleOptions>(m, "ScheduleOptions", "Noise schedule: kind, num_steps, betas.");
+  freetalk::bindings::bind_options<fd::ScheduleOptions>(m, "ScheduleOptions",
+                                                        "Noise schedule: kind, num_steps, betas.");
   py::class_<fd::Schedule>(m, "Schedule", "Noise schedule and forward process [FreeTalk Eq. 4-5].")
       .def(py::init<const fd::ScheduleOptions&>(), py::arg("options") = fd::ScheduleOptions{})
-      .def("q_sample", &fd::Schedule::q_sample, py::arg("x0"), py::arg("timestep"), py::kw_only(), py::arg("noise"),
-           py::call_guard<py::gil_scoped_release>(),
+      .def("q_sample", &fd::Schedule::q_sample, py::arg("x0"), py::arg("timestep"), py::kw_only(),
+           py::arg("noise"), py::call_guard<py::gil_scoped_release>(),
            "Noisy x_l of x0 (B, ...) at timestep (B,) int64 with the given noise [FreeTalk Eq. 5].")
       .def("alpha_bar", &fd::Schedule::alpha_bar, py::arg("timestep"))
       .def_property_readonly("alphas_cumprod", &fd::Schedule::alphas_cumprod)
@@ -23,17 +24,20 @@ void bind_schedule(py::module_& m) {
 }
 
 void bind_ddim(py::module_& m) {
-  freetalk::bindings::bind_options<fd::DdimOptions>(m, "DdimOptions", "DDIM: num_steps, eta, spacing.");
+  freetalk::bindings::bind_options<fd::DdimOptions>(m, "DdimOptions",
+                                                    "DDIM: num_steps, eta, spacing.");
   m.def("ddim_timesteps", &fd::ddim_timesteps, py::arg("num_train_steps"), py::arg("options"));
   m.def(
       "ddim_sample",
       [](const fd::Schedule& schedule, const fd::Denoiser& denoiser, const at::Tensor& noise,
          const fd::DdimOptions& options, uint64_t seed) {
-        return fd::ddim_sample(schedule, denoiser, noise, options, freetalk::core::make_generator(seed, noise.device()));
+        return fd::ddim_sample(schedule, denoiser, noise, options,
+                               freetalk::core::make_generator(seed, noise.device()));
       },
-      py::arg("schedule"), py::arg("denoiser"), py::kw_only(), py::arg("noise"), py::arg("options") = fd::DdimOptions{},
-      py::arg("seed") = 0,
-      "DDIM from noise with denoiser(x, timestep) -> x0 [Song et al. 2021]; seed: of the noise that eta > 0 adds.");
+      py::arg("schedule"), py::arg("denoiser"), py::kw_only(), py::arg("noise"),
+      py::arg("options") = fd::DdimOptions{}, py::arg("seed") = 0,
+      "DDIM from noise with denoiser(x, timestep) -> x0 [Song et al. 2021]; seed: of the noise "
+      "that eta > 0 adds.");
 }
 
 }  // namespace

@@ -10,10 +10,10 @@ PYBIND11_MODULE(TORCH_EXTENSION_NAME, m) {
   m.doc() = "Native rooms of freetalk.";
   m.attr("__version__") = FREETALK_VERSION;
   m.attr("torch_version") = TORCH_VERSION;
-#define FREETALK_ROOM(room)                      \
-  {                                              \
-    auto submodule = m.def_submodule(#room);     \
-    bind_##room(submodule);                      \
+#define FREETALK_ROOM(room)                  \
+  {                                          \
+    auto submodule = m.def_submodule(#room); \
+    bind_##room(submodule);                  \
   }
 #include "rooms.inc"
 #undef FREETALK_ROOM

@@ -146,7 +146,9 @@ class NativeModule(nn.Module):
         try:
             config = json.loads((path / "config.json").read_text())
         except OSError as error:
-            raise RuntimeError(f"{path / 'config.json'}: cannot be read ({error.strerror})") from None
+            raise RuntimeError(
+                f"{path / 'config.json'}: cannot be read ({error.strerror})"
+            ) from None
         except json.JSONDecodeError as error:
             raise RuntimeError(f"{path / 'config.json'}: is not JSON ({error})") from None
         if config.get("format") != cls._format:

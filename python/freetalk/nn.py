@@ -27,7 +27,9 @@ class DiffusionNet(NativeModule):
     _options_type = DiffusionNetOptions
     _format = "freetalk-diffusion-net"
 
-    def forward(self, x: torch.Tensor, operators: _native.geometry.SurfaceOperators) -> torch.Tensor:
+    def forward(
+        self, x: torch.Tensor, operators: _native.geometry.SurfaceOperators
+    ) -> torch.Tensor:
         """Values at the vertices, diffused and transformed.
 
         Args:

@@ -13,7 +13,8 @@ void AtsOptions::check() const {
   FREETALK_CHECK(num_layers > 0, "num_layers must be positive, found ", num_layers);
   FREETALK_CHECK(audio_dim > 0, "audio_dim must be positive, found ", audio_dim);
   FREETALK_CHECK(max_frames > 1, "max_frames must be at least 2, found ", max_frames);
-  FREETALK_CHECK(band_radius >= -1, "band_radius must be >= 0, or -1 for no band, found ", band_radius);
+  FREETALK_CHECK(band_radius >= -1, "band_radius must be >= 0, or -1 for no band, found ",
+                 band_radius);
   FREETALK_CHECK(num_intensities > 0, "num_intensities must be positive, found ", num_intensities);
   FREETALK_CHECK(fps > 0, "fps must be positive, found ", fps);
   FREETALK_CHECK(!emotions.empty(), "emotions must name at least one emotion");
@@ -31,20 +32,24 @@ AtsImpl::AtsImpl(const AtsOptions& options) : options_(options) {
   input_proj_ = register_module("input_proj", torch::nn::Linear(kMotionDim, d));
   memory_proj_ = register_module("memory_proj", torch::nn::Linear(options.audio_dim, d));
   output_proj_ = register_module("output_proj", torch::nn::Linear(d, kMotionDim));
-  target_positions_ = register_parameter("target_positions", torch::randn({options.max_frames, d}) * 0.02);
-  memory_positions_ = register_parameter("memory_positions", torch::randn({options.max_frames, d}) * 0.02);
+  target_positions_ =
+      register_parameter("target_positions", torch::randn({options.max_frames, d}) * 0.02);
+  memory_positions_ =
+      register_parameter("memory_positions", torch::randn({options.max_frames, d}) * 0.02);
   null_audio_ = register_parameter("null_audio", torch::zeros({options.audio_dim}));
   null_affect_ = register_parameter("null_affect", torch::zeros({d}));
   time_in_ = register_module("time_in", torch::nn::Linear(d, d));
   time_out_ = register_module("time_out", torch::nn::Linear(d, d));
   emotion_embedding_ = register_module("emotion_embedding", torch::nn::Embedding(num_emotions, d));
-  intensity_embedding_ = register_module("intensity_embedding", torch::nn::Embedding(options.num_intensities, d));
+  intensity_embedding_ =
+      register_module("intensity_embedding", torch::nn::Embedding(options.num_intensities, d));
   affect_in_ = register_module("affect_in", torch::nn::Linear(2 * d, d));
   affect_out_ = register_module("affect_out", torch::nn::Linear(d, d));
   const auto layer_list = register_module("layers", torch::nn::ModuleList());
   for (int64_t index = 0; index < options.num_layers; ++index) {
-    layers_.emplace_back(nn::TransformerLayerOptions{d, options.num_heads, options.ff_dim, options.dropout,
-                                                     options.norm_first, options.activation});
+    layers_.emplace_back(nn::TransformerLayerOptions{d, options.num_heads, options.ff_dim,
+                                                     options.dropout, options.norm_first,
+                                                     options.activation});
     layer_list->push_back(layers_.back());
   }
   if (options.norm_first) {
@@ -54,14 +59,17 @@ AtsImpl::AtsImpl(const AtsOptions& options) : options_(options) {
   motion_scale_ = register_buffer("motion_scale", torch::ones({kMotionDim}));
 }
 
-void AtsImpl::check_inputs(const at::Tensor& x, const at::Tensor& timestep, const Condition& condition) const {
-  FREETALK_CHECK(x.dim() == 3 && x.size(2) == kMotionDim, "ATS: expected x (B, T, ", kMotionDim, "), found ",
-                 x.sizes());
+void AtsImpl::check_inputs(const at::Tensor& x, const at::Tensor& timestep,
+                           const Condition& condition) const {
+  FREETALK_CHECK(x.dim() == 3 && x.size(2) == kMotionDim, "ATS: expected x (B, T, ", kMotionDim,
+                 "), found ", x.sizes());
   const int64_t batch = x.size(0), frames = x.size(1);
-  FREETALK_CHECK(frames <= options_.max_frames, "ATS: ", frames, " frames exceed max_frames = ", options_.max_frames,
+  FREETALK_CHECK(frames <= options_.max_frames, "ATS: ", frames,
+                 " frames exceed max_frames = ", options_.max_frames,
                  "; use generate(), which works in windows");
   const auto expect = [](const char* name, const at::Tensor& tensor, at::IntArrayRef sizes) {
-    FREETALK_CHECK(tensor.sizes() == sizes, "ATS: expected ", name, " ", sizes, ", found ", tensor.sizes());
+    FREETALK_CHECK(tensor.sizes() == sizes, "ATS: expected ", name, " ", sizes, ", found ",
+                   tensor.sizes());
   };
   expect("timestep", timestep, {batch});
   expect("audio", condition.audio, {batch, frames, options_.audio_dim});
@@ -73,20 +81,24 @@ void AtsImpl::check_inputs(const at::Tensor& x, const at::Tensor& timestep, cons
 }
 
 at::Tensor AtsImpl::time_code(const at::Tensor& timestep) {
-  const at::Tensor code = nn::sinusoidal_code(timestep, options_.d_model).to(time_in_->weight.scalar_type());
+  const at::Tensor code =
+      nn::sinusoidal_code(timestep, options_.d_model).to(time_in_->weight.scalar_type());
   return time_out_(at::silu(time_in_(code)));  // (B, d)
 }
 
 at::Tensor AtsImpl::affect_code(const Condition& condition) {
   const at::Tensor emotion = condition.emotion.matmul(emotion_embedding_->weight);  // (B, d)
-  const at::Tensor level =
-      (condition.intensity - 1).clamp(0, static_cast<double>(options_.num_intensities - 1)).unsqueeze(1);
+  const at::Tensor level = (condition.intensity - 1)
+                               .clamp(0, static_cast<double>(options_.num_intensities - 1))
+                               .unsqueeze(1);
   const at::Tensor levels = at::arange(options_.num_intensities, level.options()).unsqueeze(0);
-  const at::Tensor hat = (1 - (level - levels).abs()).clamp_min(0);  // (B, levels): linear interpolation weights
+  const at::Tensor hat =
+      (1 - (level - levels).abs()).clamp_min(0);  // (B, levels): linear interpolation weights
   const at::Tensor intensity = hat.matmul(intensity_embedding_->weight);
   const at::Tensor code = affect_out_(at::silu(affect_in_(at::cat({emotion, intensity}, 1))));
   if (!condition.drop_affect.defined()) return code;
-  return at::where(condition.drop_affect.unsqueeze(1), null_affect_.unsqueeze(0).to(code.scalar_type()), code);
+  return at::where(condition.drop_affect.unsqueeze(1),
+                   null_affect_.unsqueeze(0).to(code.scalar_type()), code);
 }
 
 at::Tensor AtsImpl::audio_memory(const Condition& condition) {
@@ -97,7 +109,8 @@ at::Tensor AtsImpl::audio_memory(const Condition& condition) {
   return memory_proj_(audio) + memory_positions_.narrow(0, 0, audio.size(1));
 }
 
-at::Tensor AtsImpl::forward(const at::Tensor& x, const at::Tensor& timestep, const Condition& condition) {
+at::Tensor AtsImpl::forward(const at::Tensor& x, const at::Tensor& timestep,
+                            const Condition& condition) {
   check_inputs(x, timestep, condition);
   const int64_t frames = x.size(1);
   at::Tensor cross_allowed =
@@ -113,17 +126,23 @@ at::Tensor AtsImpl::forward(const at::Tensor& x, const at::Tensor& timestep, con
   const at::Tensor memory = audio_memory(condition);
   at::Tensor z = input_proj_(x) + target_positions_.narrow(0, 0, frames) +
                  (time_code(timestep) + affect_code(condition)).unsqueeze(1);
-  for (nn::TransformerDecoderLayer& layer : layers_) z = layer(z, memory, self_allowed, cross_allowed);
+  for (nn::TransformerDecoderLayer& layer : layers_)
+    z = layer(z, memory, self_allowed, cross_allowed);
   return output_proj_(options_.norm_first ? norm_(z) : z);
 }
 
-at::Tensor AtsImpl::normalize(const at::Tensor& motion) const { return (motion - motion_mean_) / motion_scale_; }
+at::Tensor AtsImpl::normalize(const at::Tensor& motion) const {
+  return (motion - motion_mean_) / motion_scale_;
+}
 
-at::Tensor AtsImpl::denormalize(const at::Tensor& motion) const { return motion * motion_scale_ + motion_mean_; }
+at::Tensor AtsImpl::denormalize(const at::Tensor& motion) const {
+  return motion * motion_scale_ + motion_mean_;
+}
 
 void AtsImpl::set_motion_statistics(const at::Tensor& mean, const at::Tensor& scale) {
   FREETALK_CHECK(mean.sizes() == motion_mean_.sizes() && scale.sizes() == motion_scale_.sizes(),
-                 "motion statistics: expected (", kMotionDim, ",), found ", mean.sizes(), " and ", scale.sizes());
+                 "motion statistics: expected (", kMotionDim, ",), found ", mean.sizes(), " and ",
+                 scale.sizes());
   FREETALK_CHECK(scale.gt(0).all().item<bool>(), "motion_scale must be positive");
   motion_mean_.copy_(mean);
   motion_scale_.copy_(scale);

@@ -11,8 +11,8 @@
 namespace freetalk::ats {
 namespace {
 
-/// Weights of one window's frames: ramps over the overlaps with its neighbours, so that all windows' sum to one
-/// after division by their total.
+/// Weights of one window's frames: ramps over the overlaps with its neighbours, so that all
+/// windows' sum to one after division by their total.
 at::Tensor fade_weights(int64_t frames, int64_t overlap) {
   const at::Tensor index = at::arange(frames, at::kFloat);
   const at::Tensor edge = at::minimum(index, static_cast<double>(frames - 1) - index);
@@ -22,17 +22,18 @@ at::Tensor fade_weights(int64_t frames, int64_t overlap) {
 /// Denoises a whole sequence by windows.
 class WindowedDenoiser {
  public:
-  WindowedDenoiser(Ats& model, const at::Tensor& features, const at::Tensor& emotion, double intensity,
-                   const GenerateOptions& options)
+  WindowedDenoiser(Ats& model, const at::Tensor& features, const at::Tensor& emotion,
+                   double intensity, const GenerateOptions& options)
       : model_(model), features_(features), options_(options) {
     const int64_t frames = features.size(0);
     window_ = std::min(frames, model->options().max_frames);
     starts_ = window_starts(frames, window_, std::min(options.window_overlap, window_ - 1));
     emotion_ = emotion.to(features.options()).unsqueeze(0);
     intensity_ = at::full({1}, intensity, features.options());
-    fade_ = (starts_.size() > 1 ? fade_weights(window_, options.window_overlap) : at::ones({window_}))
-                .to(features.device())
-                .unsqueeze(1);
+    fade_ =
+        (starts_.size() > 1 ? fade_weights(window_, options.window_overlap) : at::ones({window_}))
+            .to(features.device())
+            .unsqueeze(1);
   }
 
   at::Tensor operator()(const at::Tensor& x, int64_t timestep) {
@@ -59,7 +60,8 @@ class WindowedDenoiser {
     const int64_t batch = x.size(0);
     const at::Tensor step = at::full({batch}, timestep, x.options().dtype(at::kLong));
     const at::Tensor dropped = at::ones({batch}, x.options().dtype(at::kBool));
-    Condition condition{audio, emotion_.expand({batch, -1}), intensity_.expand({batch}), {}, {}, {}};
+    Condition condition{audio, emotion_.expand({batch, -1}), intensity_.expand({batch}), {}, {},
+                        {}};
     const at::Tensor conditional = model_(x, step, condition);
     at::Tensor result = conditional;
     if (options_.audio_guidance != 1.0) {
@@ -83,8 +85,9 @@ class WindowedDenoiser {
 
 const std::map<std::string, std::string>& emotion_aliases() {
   static const std::map<std::string, std::string> aliases = {
-      {"fear", "afraid"},   {"fearful", "afraid"},    {"anger", "angry"},        {"happiness", "happy"},
-      {"sadness", "sad"},   {"disgusted", "disgust"}, {"surprised", "surprise"}, {"contemptuous", "contempt"}};
+      {"fear", "afraid"},        {"fearful", "afraid"},       {"anger", "angry"},
+      {"happiness", "happy"},    {"sadness", "sad"},          {"disgusted", "disgust"},
+      {"surprised", "surprise"}, {"contemptuous", "contempt"}};
   return aliases;
 }
 
@@ -103,8 +106,10 @@ int64_t emotion_index(const std::string& name, const std::vector<std::string>& e
 
 void GenerateOptions::check() const {
   diffusion::DdimOptions{num_steps, eta, spacing}.check();
-  FREETALK_CHECK(window_overlap >= 0, "window_overlap must not be negative, found ", window_overlap);
-  FREETALK_CHECK(windows_per_batch > 0, "windows_per_batch must be positive, found ", windows_per_batch);
+  FREETALK_CHECK(window_overlap >= 0, "window_overlap must not be negative, found ",
+                 window_overlap);
+  FREETALK_CHECK(windows_per_batch > 0, "windows_per_batch must be positive, found ",
+                 windows_per_batch);
 }
 
 std::vector<int64_t> window_starts(int64_t num_frames, int64_t window, int64_t overlap) {
@@ -118,14 +123,16 @@ std::vector<int64_t> window_starts(int64_t num_frames, int64_t window, int64_t o
   return starts;
 }
 
-at::Tensor generate(Ats& model, const at::Tensor& features, const at::Tensor& emotion, double intensity,
-                    const GenerateOptions& options, at::Generator generator, const diffusion::StepCallback& on_step) {
+at::Tensor generate(Ats& model, const at::Tensor& features, const at::Tensor& emotion,
+                    double intensity, const GenerateOptions& options, at::Generator generator,
+                    const diffusion::StepCallback& on_step) {
   options.check();
   const AtsOptions& own = model->options();
   FREETALK_CHECK(features.dim() == 2 && features.size(0) > 0 && features.size(1) == own.audio_dim,
                  "generate: expected features (T, ", own.audio_dim, "), found ", features.sizes());
   FREETALK_CHECK(emotion.dim() == 1 && emotion.size(0) == static_cast<int64_t>(own.emotions.size()),
-                 "generate: expected emotion (", own.emotions.size(), ",), found ", emotion.sizes());
+                 "generate: expected emotion (", own.emotions.size(), ",), found ",
+                 emotion.sizes());
   FREETALK_CHECK(intensity >= 1 && intensity <= static_cast<double>(own.num_intensities),
                  "intensity must be between 1 and ", own.num_intensities, ", found ", intensity);
   const torch::NoGradGuard no_grad;
@@ -149,8 +156,8 @@ at::Tensor parse_emotion(const std::string& text, const std::vector<std::string>
       const std::string number = part.substr(colon + 1);
       char* end = nullptr;
       weight = std::strtof(number.c_str(), &end);
-      FREETALK_CHECK(!number.empty() && *end == '\0' && weight >= 0 && weight < 1e6F, "emotion '", text,
-                     "': the weight '", number, "' is not a number >= 0");
+      FREETALK_CHECK(!number.empty() && *end == '\0' && weight >= 0 && weight < 1e6F, "emotion '",
+                     text, "': the weight '", number, "' is not a number >= 0");
     }
     mixture[static_cast<size_t>(emotion_index(part.substr(0, colon), emotions))] += weight;
     total += weight;

@@ -14,7 +14,8 @@ namespace freetalk::core {
 
 std::string read_text(const std::filesystem::path& path) {
   FREETALK_RUNTIME_CHECK(std::filesystem::exists(path), path.string(), ": no such file");
-  FREETALK_RUNTIME_CHECK(!std::filesystem::is_directory(path), path.string(), ": is a folder, not a file");
+  FREETALK_RUNTIME_CHECK(!std::filesystem::is_directory(path), path.string(),
+                         ": is a folder, not a file");
   std::ifstream stream(path, std::ios::binary);
   FREETALK_RUNTIME_CHECK(stream, path.string(), ": cannot be opened (", std::strerror(errno), ")");
   std::ostringstream content;
@@ -22,11 +23,13 @@ std::string read_text(const std::filesystem::path& path) {
   return content.str();
 }
 
-void write_file_atomic(const std::filesystem::path& path, const std::function<void(std::ostream&)>& write) {
+void write_file_atomic(const std::filesystem::path& path,
+                       const std::function<void(std::ostream&)>& write) {
   static std::atomic<unsigned> counter{0};
   std::error_code error;
   if (path.has_parent_path()) std::filesystem::create_directories(path.parent_path(), error);
-  FREETALK_RUNTIME_CHECK(!error, path.string(), ": its folder cannot be made (", error.message(), ")");
+  FREETALK_RUNTIME_CHECK(!error, path.string(), ": its folder cannot be made (", error.message(),
+                         ")");
   std::filesystem::path temporary = path;
   temporary += join(".tmp-", getpid(), "-", counter++);
   std::ofstream stream(temporary, std::ios::binary | std::ios::trunc);

@@ -24,13 +24,15 @@ void load_state(torch::nn::Module& module, const TensorMap& state, const std::st
     if (found == state.end()) {
       problems += join("\n  missing: ", name);
     } else if (found->second.sizes() != tensor.sizes()) {
-      problems += join("\n  shape of ", name, ": expected ", tensor.sizes(), ", found ", found->second.sizes());
+      problems += join("\n  shape of ", name, ": expected ", tensor.sizes(), ", found ",
+                       found->second.sizes());
     }
   }
   for (const auto& item : state) {
     if (own.count(item.first) == 0) problems += join("\n  unexpected: ", item.first);
   }
-  FREETALK_RUNTIME_CHECK(problems.empty(), where, ": the weights do not fit the options:", problems);
+  FREETALK_RUNTIME_CHECK(problems.empty(), where,
+                         ": the weights do not fit the options:", problems);
   const c10::NoGradGuard no_grad;
   for (const auto& [name, tensor] : own) {
     at::Tensor destination = tensor;
@@ -44,12 +46,13 @@ std::string read_model_options(const std::filesystem::path& directory, const std
   FREETALK_RUNTIME_CHECK(config.is_object() && config.contains("options"), path.string(),
                          ": is not a model configuration (no \"options\")");
   const auto found = config.value("format", std::string("none"));
-  FREETALK_RUNTIME_CHECK(found == format, path.string(), ": expected format ", format, ", found ", found);
+  FREETALK_RUNTIME_CHECK(found == format, path.string(), ": expected format ", format, ", found ",
+                         found);
   return config.at("options").dump();
 }
 
-void save_model(const std::filesystem::path& directory, const std::string& format, const std::string& options_json,
-                const torch::nn::Module& module) {
+void save_model(const std::filesystem::path& directory, const std::string& format,
+                const std::string& options_json, const torch::nn::Module& module) {
   const nlohmann::ordered_json config = {
       {"format", format}, {"version", 1}, {"options", nlohmann::ordered_json::parse(options_json)}};
   save_safetensors(directory / "model.safetensors", state_of(module));

@@ -44,8 +44,8 @@ bool holds(const Json& value) {
   if constexpr (std::is_same_v<T, double>) return value.is_number();
   if constexpr (std::is_same_v<T, std::string>) return value.is_string();
   if constexpr (std::is_same_v<T, std::vector<int64_t>>) {
-    return value.is_array() &&
-           std::all_of(value.begin(), value.end(), [](const Json& v) { return v.is_number_integer(); });
+    return value.is_array() && std::all_of(value.begin(), value.end(),
+                                           [](const Json& v) { return v.is_number_integer(); });
   }
   if constexpr (std::is_same_v<T, std::vector<double>>) {
     return value.is_array() &&
@@ -80,8 +80,8 @@ std::vector<NamedOption> options_from_json_text(const std::vector<NamedOption>& 
     std::visit(
         [&, &json_value = value, &name = key](auto& current) {
           using T = std::decay_t<decltype(current)>;
-          FREETALK_CHECK(holds<T>(json_value), where, ": option '", name, "' must be ", type_name<T>(),
-                         ", found ", json_value.dump());
+          FREETALK_CHECK(holds<T>(json_value), where, ": option '", name, "' must be ",
+                         type_name<T>(), ", found ", json_value.dump());
           current = json_value.template get<T>();
         },
         slot);
@@ -91,9 +91,10 @@ std::vector<NamedOption> options_from_json_text(const std::vector<NamedOption>& 
 
 std::string nearest_name(const std::string& name, const std::vector<std::string>& known) {
   if (known.empty()) return "";
-  return *std::min_element(known.begin(), known.end(), [&](const std::string& a, const std::string& b) {
-    return edit_distance(name, a) < edit_distance(name, b);
-  });
+  return *std::min_element(known.begin(), known.end(),
+                           [&](const std::string& a, const std::string& b) {
+                             return edit_distance(name, a) < edit_distance(name, b);
+                           });
 }
 
 }  // namespace freetalk::core

@@ -21,8 +21,9 @@ constexpr uint64_t kMaxHeaderBytes = 100'000'000;
 
 const std::vector<std::pair<const char*, at::ScalarType>>& dtype_table() {
   static const std::vector<std::pair<const char*, at::ScalarType>> table = {
-      {"F64", at::kDouble}, {"F32", at::kFloat}, {"F16", at::kHalf},  {"BF16", at::kBFloat16}, {"I64", at::kLong},
-      {"I32", at::kInt},    {"I16", at::kShort}, {"I8", at::kChar},   {"U8", at::kByte},       {"BOOL", at::kBool}};
+      {"F64", at::kDouble}, {"F32", at::kFloat}, {"F16", at::kHalf},  {"BF16", at::kBFloat16},
+      {"I64", at::kLong},   {"I32", at::kInt},   {"I16", at::kShort}, {"I8", at::kChar},
+      {"U8", at::kByte},    {"BOOL", at::kBool}};
   return table;
 }
 
@@ -32,7 +33,8 @@ class Mapping {
   explicit Mapping(const std::filesystem::path& path) {
     FREETALK_RUNTIME_CHECK(std::filesystem::exists(path), path.string(), ": no such file");
     const int descriptor = ::open(path.c_str(), O_RDONLY);
-    FREETALK_RUNTIME_CHECK(descriptor >= 0, path.string(), ": cannot be opened (", std::strerror(errno), ")");
+    FREETALK_RUNTIME_CHECK(descriptor >= 0, path.string(), ": cannot be opened (",
+                           std::strerror(errno), ")");
     struct stat status {};
     ::fstat(descriptor, &status);
     size_ = static_cast<size_t>(status.st_size);
@@ -55,7 +57,8 @@ class Mapping {
   size_t size_ = 0;
 };
 
-at::Tensor map_tensor(const Json& entry, const std::shared_ptr<Mapping>& mapping, uint64_t data_start) {
+at::Tensor map_tensor(const Json& entry, const std::shared_ptr<Mapping>& mapping,
+                      uint64_t data_start) {
   const auto dtype_name = entry.at("dtype").get<std::string>();
   const auto shape = entry.at("shape").get<std::vector<int64_t>>();
   const auto offsets = entry.at("data_offsets").get<std::vector<uint64_t>>();
@@ -67,11 +70,12 @@ at::Tensor map_tensor(const Json& entry, const std::shared_ptr<Mapping>& mapping
   uint64_t bytes = c10::elementSize(dtype);
   for (int64_t extent : shape) {
     FREETALK_RUNTIME_CHECK(extent >= 0 && extent <= int64_t{1} << 40, "impossible shape");
-    FREETALK_RUNTIME_CHECK(!__builtin_mul_overflow(bytes, static_cast<uint64_t>(extent), &bytes), "impossible shape");
+    FREETALK_RUNTIME_CHECK(!__builtin_mul_overflow(bytes, static_cast<uint64_t>(extent), &bytes),
+                           "impossible shape");
   }
   const uint64_t available = mapping->size() - data_start;
-  FREETALK_RUNTIME_CHECK(offsets.size() == 2 && offsets[0] <= offsets[1] && offsets[1] <= available &&
-                             offsets[1] - offsets[0] == bytes,
+  FREETALK_RUNTIME_CHECK(offsets.size() == 2 && offsets[0] <= offsets[1] &&
+                             offsets[1] <= available && offsets[1] - offsets[0] == bytes,
                          "data offsets do not fit the file");
   if (bytes == 0) return at::empty(shape, dtype);
   char* data = mapping->data() + data_start + offsets[0];
@@ -80,7 +84,8 @@ at::Tensor map_tensor(const Json& entry, const std::shared_ptr<Mapping>& mapping
     std::memcpy(copy.data_ptr(), data, bytes);
     return copy;
   }
-  return at::from_blob(data, shape, [mapping](void*) {}, at::TensorOptions().dtype(dtype));
+  return at::from_blob(
+      data, shape, [mapping](void*) {}, at::TensorOptions().dtype(dtype));
 }
 
 }  // namespace
@@ -89,10 +94,13 @@ SafetensorsFile::SafetensorsFile(const std::filesystem::path& path) : path_(path
   const auto mapping = std::make_shared<Mapping>(path);
   uint64_t header_bytes = 0;
   if (mapping->size() >= 8) std::memcpy(&header_bytes, mapping->data(), 8);
-  FREETALK_RUNTIME_CHECK(header_bytes > 0 && header_bytes <= kMaxHeaderBytes && header_bytes + 8 <= mapping->size(),
-                         path.string(), ": is not a safetensors file, or is truncated; fetch it again");
-  const Json header = Json::parse(mapping->data() + 8, mapping->data() + 8 + header_bytes, nullptr, false);
-  FREETALK_RUNTIME_CHECK(header.is_object(), path.string(), ": its safetensors header is broken; fetch it again");
+  FREETALK_RUNTIME_CHECK(
+      header_bytes > 0 && header_bytes <= kMaxHeaderBytes && header_bytes + 8 <= mapping->size(),
+      path.string(), ": is not a safetensors file, or is truncated; fetch it again");
+  const Json header =
+      Json::parse(mapping->data() + 8, mapping->data() + 8 + header_bytes, nullptr, false);
+  FREETALK_RUNTIME_CHECK(header.is_object(), path.string(),
+                         ": its safetensors header is broken; fetch it again");
   for (const auto& [name, entry] : header.items()) {
     try {
       if (name == "__metadata__") {
@@ -101,7 +109,8 @@ SafetensorsFile::SafetensorsFile(const std::filesystem::path& path) : path_(path
         tensors_[name] = map_tensor(entry, mapping, 8 + header_bytes);
       }
     } catch (const std::exception& error) {
-      throw std::runtime_error(join(path.string(), ": tensor '", name, "': ", error.what(), "; fetch the file again"));
+      throw std::runtime_error(
+          join(path.string(), ": tensor '", name, "': ", error.what(), "; fetch the file again"));
     }
   }
 }
@@ -125,7 +134,8 @@ TensorMap load_safetensors(const std::filesystem::path& path) {
   return result;
 }
 
-void save_safetensors(const std::filesystem::path& path, const TensorMap& tensors, const Metadata& metadata) {
+void save_safetensors(const std::filesystem::path& path, const TensorMap& tensors,
+                      const Metadata& metadata) {
   Json header = Json::object();
   if (!metadata.empty()) header["__metadata__"] = metadata;
   uint64_t offset = 0;
@@ -134,9 +144,12 @@ void save_safetensors(const std::filesystem::path& path, const TensorMap& tensor
     for (const auto& [text, type] : dtype_table()) {
       if (tensor.scalar_type() == type) dtype_name = text;
     }
-    FREETALK_CHECK(dtype_name != nullptr, path.string(), ": tensor '", name, "' has a dtype safetensors cannot hold");
+    FREETALK_CHECK(dtype_name != nullptr, path.string(), ": tensor '", name,
+                   "' has a dtype safetensors cannot hold");
     const uint64_t bytes = static_cast<uint64_t>(tensor.numel()) * tensor.element_size();
-    header[name] = {{"dtype", dtype_name}, {"shape", tensor.sizes().vec()}, {"data_offsets", {offset, offset + bytes}}};
+    header[name] = {{"dtype", dtype_name},
+                    {"shape", tensor.sizes().vec()},
+                    {"data_offsets", {offset, offset + bytes}}};
     offset += bytes;
   }
   std::string text = header.dump();
@@ -147,7 +160,8 @@ void save_safetensors(const std::filesystem::path& path, const TensorMap& tensor
     stream.write(text.data(), static_cast<std::streamsize>(text.size()));
     for (const auto& item : tensors) {
       const at::Tensor flat = item.second.detach().cpu().contiguous();
-      stream.write(static_cast<const char*>(flat.const_data_ptr()), static_cast<std::streamsize>(flat.nbytes()));
+      stream.write(static_cast<const char*>(flat.const_data_ptr()),
+                   static_cast<std::streamsize>(flat.nbytes()));
     }
   });
 }

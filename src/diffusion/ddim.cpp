@@ -18,7 +18,8 @@ void DdimOptions::check() const {
 std::vector<int64_t> ddim_timesteps(int64_t num_train_steps, const DdimOptions& options) {
   options.check();
   const int64_t count = options.num_steps;
-  FREETALK_CHECK(count <= num_train_steps, "DDIM num_steps (", count, ") exceeds the schedule's ", num_train_steps);
+  FREETALK_CHECK(count <= num_train_steps, "DDIM num_steps (", count, ") exceeds the schedule's ",
+                 num_train_steps);
   std::vector<int64_t> timesteps(static_cast<size_t>(count));
   for (int64_t i = 0; i < count; ++i) {
     const double remaining = static_cast<double>(count - i) / static_cast<double>(count);
@@ -28,7 +29,8 @@ std::vector<int64_t> ddim_timesteps(int64_t num_train_steps, const DdimOptions& 
     } else if (options.spacing == "leading") {
       timestep = (count - 1 - i) * (num_train_steps / count);
     } else {
-      const double fraction = count > 1 ? static_cast<double>(count - 1 - i) / static_cast<double>(count - 1) : 1.0;
+      const double fraction =
+          count > 1 ? static_cast<double>(count - 1 - i) / static_cast<double>(count - 1) : 1.0;
       timestep = std::lround(fraction * static_cast<double>(num_train_steps - 1));
     }
   }
@@ -36,7 +38,8 @@ std::vector<int64_t> ddim_timesteps(int64_t num_train_steps, const DdimOptions& 
 }
 
 at::Tensor ddim_sample(const Schedule& schedule, const Denoiser& denoiser, const at::Tensor& noise,
-                       const DdimOptions& options, at::Generator generator, const StepCallback& on_step) {
+                       const DdimOptions& options, at::Generator generator,
+                       const StepCallback& on_step) {
   const auto timesteps = ddim_timesteps(schedule.options().num_steps, options);
   at::Tensor x = noise, x0;
   for (size_t i = 0; i < timesteps.size(); ++i) {
@@ -44,7 +47,8 @@ at::Tensor ddim_sample(const Schedule& schedule, const Denoiser& denoiser, const
     const double a_next = schedule.alpha_bar(i + 1 < timesteps.size() ? timesteps[i + 1] : -1);
     x0 = denoiser(x, timesteps[i]);
     const at::Tensor eps = (x - std::sqrt(a) * x0) / std::sqrt(1 - a);
-    const double sigma = options.eta * std::sqrt((1 - a_next) / (1 - a)) * std::sqrt(1 - a / a_next);
+    const double sigma =
+        options.eta * std::sqrt((1 - a_next) / (1 - a)) * std::sqrt(1 - a / a_next);
     x = std::sqrt(a_next) * x0 + std::sqrt(std::max(0.0, 1 - a_next - sigma * sigma)) * eps;
     if (sigma > 0) x = x + sigma * at::randn(x.sizes(), generator, x.options());
     if (on_step) on_step(static_cast<int64_t>(i) + 1, static_cast<int64_t>(timesteps.size()));

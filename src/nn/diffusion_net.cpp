@@ -15,21 +15,25 @@ constexpr double kMinDiffusionTime = 1e-8;  // as in the public package, at ever
 void DiffusionNetOptions::check() const {
   FREETALK_CHECK(in_channels > 0 && out_channels > 0 && width > 0 && num_blocks > 0,
                  "DiffusionNet: channels, width and num_blocks must be positive");
-  FREETALK_CHECK(dropout >= 0 && dropout < 1, "DiffusionNet: dropout must be in [0, 1), found ", dropout);
+  FREETALK_CHECK(dropout >= 0 && dropout < 1, "DiffusionNet: dropout must be in [0, 1), found ",
+                 dropout);
 }
 
 LearnedDiffusionImpl::LearnedDiffusionImpl(int64_t channels) {
   diffusion_time_ = register_parameter("diffusion_time", torch::zeros({channels}));
 }
 
-at::Tensor LearnedDiffusionImpl::forward(const at::Tensor& x, const geometry::SurfaceOperators& operators) {
+at::Tensor LearnedDiffusionImpl::forward(const at::Tensor& x,
+                                         const geometry::SurfaceOperators& operators) {
   {
     const torch::NoGradGuard no_grad;
     diffusion_time_.clamp_(kMinDiffusionTime);
   }
-  const at::Tensor weighted_basis = (operators.evecs * operators.mass.unsqueeze(1)).t();       // (K, V): Phi^T M
-  const at::Tensor spectrum = weighted_basis.matmul(x);                                        // (B, K, C)
-  const at::Tensor decay = at::exp(-operators.evals.unsqueeze(1) * diffusion_time_.unsqueeze(0));  // (K, C)
+  const at::Tensor weighted_basis =
+      (operators.evecs * operators.mass.unsqueeze(1)).t();  // (K, V): Phi^T M
+  const at::Tensor spectrum = weighted_basis.matmul(x);     // (B, K, C)
+  const at::Tensor decay =
+      at::exp(-operators.evals.unsqueeze(1) * diffusion_time_.unsqueeze(0));  // (K, C)
   return operators.evecs.matmul(spectrum * decay);
 }
 
@@ -41,7 +45,8 @@ GradientFeaturesImpl::GradientFeaturesImpl(int64_t channels) {
 
 at::Tensor GradientFeaturesImpl::forward(const at::Tensor& gradients) {
   const int64_t vertices = gradients.size(1) / 2;
-  const at::Tensor gx = gradients.narrow(1, 0, vertices), gy = gradients.narrow(1, vertices, vertices);
+  const at::Tensor gx = gradients.narrow(1, 0, vertices),
+                   gy = gradients.narrow(1, vertices, vertices);
   const auto re = a_re_(gradients).split(vertices, 1);
   const auto im = a_im_(gradients).split(vertices, 1);
   return at::tanh(gx * (re[0] - im[1]) + gy * (re[1] + im[0]));
@@ -58,9 +63,11 @@ DiffusionNetBlockImpl::DiffusionNetBlockImpl(int64_t channels, double dropout) :
   }
 }
 
-at::Tensor DiffusionNetBlockImpl::forward(const at::Tensor& x, const geometry::SurfaceOperators& operators) {
+at::Tensor DiffusionNetBlockImpl::forward(const at::Tensor& x,
+                                          const geometry::SurfaceOperators& operators) {
   const at::Tensor diffused = diffusion_(x, operators);
-  const at::Tensor gradients = sparse_product(operators.gradients, operators.gradients_transposed, diffused);
+  const at::Tensor gradients =
+      sparse_product(operators.gradients, operators.gradients_transposed, diffused);
   at::Tensor y = mlp_[0](at::cat({x, diffused, gradient_features_(gradients)}, -1));
   for (size_t layer = 1; layer < mlp_.size(); ++layer) {
     y = mlp_[layer](at::dropout(at::relu(y), dropout_, is_training()));
@@ -78,14 +85,17 @@ DiffusionNetImpl::DiffusionNetImpl(const DiffusionNetOptions& options) : options
   }
 }
 
-at::Tensor DiffusionNetImpl::forward(const at::Tensor& x, const geometry::SurfaceOperators& operators) {
-  FREETALK_CHECK(x.dim() == 3 && x.size(1) == operators.mass.size(0) && x.size(2) == options_.in_channels,
-                 "DiffusionNet: expected x (B, ", operators.mass.size(0), ", ", options_.in_channels, "), found ",
-                 x.sizes());
+at::Tensor DiffusionNetImpl::forward(const at::Tensor& x,
+                                     const geometry::SurfaceOperators& operators) {
+  FREETALK_CHECK(
+      x.dim() == 3 && x.size(1) == operators.mass.size(0) && x.size(2) == options_.in_channels,
+      "DiffusionNet: expected x (B, ", operators.mass.size(0), ", ", options_.in_channels,
+      "), found ", x.sizes());
   return forward_hidden(first_lin(x), operators);
 }
 
-at::Tensor DiffusionNetImpl::forward_hidden(const at::Tensor& hidden, const geometry::SurfaceOperators& operators) {
+at::Tensor DiffusionNetImpl::forward_hidden(const at::Tensor& hidden,
+                                            const geometry::SurfaceOperators& operators) {
   at::Tensor x = hidden;
   for (DiffusionNetBlock& block : blocks_) x = block(x, operators);
   return last_lin(x);

@@ -28,9 +28,9 @@ std::array<int64_t, 68> make_mirror() {
     mirror[static_cast<size_t>(a)] = b;
     mirror[static_cast<size_t>(b)] = a;
   };
-  for (int64_t i = 0; i < 8; ++i) swap(i, 16 - i);     // jaw
-  for (int64_t i = 0; i < 5; ++i) swap(17 + i, 26 - i);  // brows
-  swap(31, 35), swap(32, 34);                            // nose base
+  for (int64_t i = 0; i < 8; ++i) swap(i, 16 - i);                                     // jaw
+  for (int64_t i = 0; i < 5; ++i) swap(17 + i, 26 - i);                                // brows
+  swap(31, 35), swap(32, 34);                                                          // nose base
   swap(36, 45), swap(37, 44), swap(38, 43), swap(39, 42), swap(40, 47), swap(41, 46);  // eyes
   swap(48, 54), swap(49, 53), swap(50, 52), swap(55, 59), swap(56, 58);                // outer lips
   swap(60, 64), swap(61, 63), swap(65, 67);                                            // inner lips
@@ -54,7 +54,8 @@ Edges make_edges() {
   };
   for (const auto& [a, b] : one_side) {
     add_edge(edges, a, b);
-    add_edge(edges, landmark_mirror()[static_cast<size_t>(a)], landmark_mirror()[static_cast<size_t>(b)]);
+    add_edge(edges, landmark_mirror()[static_cast<size_t>(a)],
+             landmark_mirror()[static_cast<size_t>(b)]);
   }
   for (int64_t i = 0; i < 8; ++i) add_edge(edges, i, 16 - i);  // jaw to its mirror image
   return edges;
@@ -86,11 +87,13 @@ at::Tensor landmark_adjacency() {
 }
 
 GcnImpl::GcnImpl(int64_t in_channels, int64_t hidden, int64_t num_layers) {
-  FREETALK_CHECK(in_channels > 0 && hidden > 0 && num_layers > 0, "GCN: channels and layers must be positive");
+  FREETALK_CHECK(in_channels > 0 && hidden > 0 && num_layers > 0,
+                 "GCN: channels and layers must be positive");
   adjacency_ = register_buffer("adjacency", landmark_adjacency());
   for (int64_t index = 0; index < num_layers; ++index) {
-    layers_.push_back(register_module("layer_" + std::to_string(index),
-                                      torch::nn::Linear(index == 0 ? in_channels : hidden, hidden)));
+    layers_.push_back(
+        register_module("layer_" + std::to_string(index),
+                        torch::nn::Linear(index == 0 ? in_channels : hidden, hidden)));
   }
 }
 

@@ -12,8 +12,8 @@ namespace {
 #define FREETALK_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
 
 // One row of A times x: y = sum_j value_j x[column_j], C channels each.
-FREETALK_CLONES void row_product(const float* values, const int64_t* columns, int64_t count, const float* x,
-                                 int64_t channels, float* y) {
+FREETALK_CLONES void row_product(const float* values, const int64_t* columns, int64_t count,
+                                 const float* x, int64_t channels, float* y) {
   for (int64_t c = 0; c < channels; ++c) y[c] = 0;
   for (int64_t entry = 0; entry < count; ++entry) {
     const float value = values[entry];
@@ -22,8 +22,8 @@ FREETALK_CLONES void row_product(const float* values, const int64_t* columns, in
   }
 }
 
-FREETALK_CLONES void row_product(const double* values, const int64_t* columns, int64_t count, const double* x,
-                                 int64_t channels, double* y) {
+FREETALK_CLONES void row_product(const double* values, const int64_t* columns, int64_t count,
+                                 const double* x, int64_t channels, double* y) {
   for (int64_t c = 0; c < channels; ++c) y[c] = 0;
   for (int64_t entry = 0; entry < count; ++entry) {
     const double value = values[entry];
@@ -47,13 +47,15 @@ void cpu_product(const at::Tensor& matrix, const at::Tensor& x, at::Tensor& y) {
     for (int64_t index = begin; index < end; ++index) {
       const int64_t row = index % num_rows, first = row_data[row];
       row_product(value_data + first, column_data + first, row_data[row + 1] - first,
-                  x_data + index / num_rows * vertices * channels, channels, y_data + index * channels);
+                  x_data + index / num_rows * vertices * channels, channels,
+                  y_data + index * channels);
     }
   });
 }
 
 at::Tensor product(const at::Tensor& matrix, const at::Tensor& x) {
-  const bool direct = x.is_cpu() && (x.scalar_type() == at::kFloat || x.scalar_type() == at::kDouble);
+  const bool direct =
+      x.is_cpu() && (x.scalar_type() == at::kFloat || x.scalar_type() == at::kDouble);
   if (direct) {
     at::Tensor y = at::empty({x.size(0), matrix.size(0), x.size(2)}, x.options());
     const at::Tensor dense = x.contiguous();
@@ -84,9 +86,10 @@ class SparseProduct : public torch::autograd::Function<SparseProduct> {
 
 }  // namespace
 
-at::Tensor sparse_product(const at::Tensor& matrix, const at::Tensor& transposed, const at::Tensor& x) {
-  FREETALK_CHECK(x.dim() == 3 && x.size(1) == matrix.size(1), "sparse_product: expected x (B, ", matrix.size(1),
-                 ", C), found ", x.sizes());
+at::Tensor sparse_product(const at::Tensor& matrix, const at::Tensor& transposed,
+                          const at::Tensor& x) {
+  FREETALK_CHECK(x.dim() == 3 && x.size(1) == matrix.size(1), "sparse_product: expected x (B, ",
+                 matrix.size(1), ", C), found ", x.sizes());
   return SparseProduct::apply(matrix, transposed, x.to(matrix.scalar_type()));
 }
 

@@ -12,7 +12,8 @@ void TransformerLayerOptions::check() const {
                  ") must be a positive multiple of num_heads (", num_heads, ")");
   FREETALK_CHECK(ff_dim > 0, "ff_dim must be positive, found ", ff_dim);
   FREETALK_CHECK(dropout >= 0 && dropout < 1, "dropout must be in [0, 1), found ", dropout);
-  FREETALK_CHECK(activation == "gelu" || activation == "relu", "activation must be gelu or relu, found ", activation);
+  FREETALK_CHECK(activation == "gelu" || activation == "relu",
+                 "activation must be gelu or relu, found ", activation);
 }
 
 MultiheadAttentionImpl::MultiheadAttentionImpl(int64_t d_model, int64_t num_heads, double dropout)
@@ -25,7 +26,8 @@ MultiheadAttentionImpl::MultiheadAttentionImpl(int64_t d_model, int64_t num_head
 }
 
 at::Tensor MultiheadAttentionImpl::split_heads(const at::Tensor& x) const {
-  return x.unflatten(-1, {num_heads_, x.size(-1) / num_heads_}).transpose(1, 2);  // (B, heads, T, d_head)
+  return x.unflatten(-1, {num_heads_, x.size(-1) / num_heads_})
+      .transpose(1, 2);  // (B, heads, T, d_head)
 }
 
 at::Tensor MultiheadAttentionImpl::forward(const at::Tensor& query, const at::Tensor& memory,
@@ -38,20 +40,25 @@ at::Tensor MultiheadAttentionImpl::forward(const at::Tensor& query, const at::Te
   } else {
     q = at::linear(query, in_proj_weight.narrow(0, 0, d), in_proj_bias.narrow(0, 0, d));
     const auto parts =
-        at::linear(memory, in_proj_weight.narrow(0, d, 2 * d), in_proj_bias.narrow(0, d, 2 * d)).split(d, -1);
+        at::linear(memory, in_proj_weight.narrow(0, d, 2 * d), in_proj_bias.narrow(0, d, 2 * d))
+            .split(d, -1);
     k = parts[0], v = parts[1];
   }
-  const c10::optional<at::Tensor> mask = allowed.defined() ? c10::make_optional(allowed) : c10::nullopt;
-  const at::Tensor attended = at::scaled_dot_product_attention(split_heads(q), split_heads(k), split_heads(v), mask,
-                                                               is_training() ? dropout_ : 0.0);
+  const c10::optional<at::Tensor> mask =
+      allowed.defined() ? c10::make_optional(allowed) : c10::nullopt;
+  const at::Tensor attended = at::scaled_dot_product_attention(
+      split_heads(q), split_heads(k), split_heads(v), mask, is_training() ? dropout_ : 0.0);
   return out_proj->forward(attended.transpose(1, 2).flatten(-2));  // (B, T, d)
 }
 
-TransformerDecoderLayerImpl::TransformerDecoderLayerImpl(const TransformerLayerOptions& options) : options_(options) {
+TransformerDecoderLayerImpl::TransformerDecoderLayerImpl(const TransformerLayerOptions& options)
+    : options_(options) {
   options.check();
   const int64_t d = options.d_model;
-  self_attn_ = register_module("self_attn", MultiheadAttention(d, options.num_heads, options.dropout));
-  multihead_attn_ = register_module("multihead_attn", MultiheadAttention(d, options.num_heads, options.dropout));
+  self_attn_ =
+      register_module("self_attn", MultiheadAttention(d, options.num_heads, options.dropout));
+  multihead_attn_ =
+      register_module("multihead_attn", MultiheadAttention(d, options.num_heads, options.dropout));
   linear1_ = register_module("linear1", torch::nn::Linear(d, options.ff_dim));
   linear2_ = register_module("linear2", torch::nn::Linear(options.ff_dim, d));
   const torch::nn::LayerNormOptions norm_options({d});
@@ -68,7 +75,8 @@ at::Tensor TransformerDecoderLayerImpl::feed_forward(const at::Tensor& x) {
 }
 
 at::Tensor TransformerDecoderLayerImpl::forward(const at::Tensor& x, const at::Tensor& memory,
-                                                const at::Tensor& self_allowed, const at::Tensor& cross_allowed) {
+                                                const at::Tensor& self_allowed,
+                                                const at::Tensor& cross_allowed) {
   if (options_.norm_first) {
     const at::Tensor normed = norm1_(x);
     at::Tensor y = x + dropout_(self_attn_(normed, normed, self_allowed));
@@ -81,7 +89,8 @@ at::Tensor TransformerDecoderLayerImpl::forward(const at::Tensor& x, const at::T
 }
 
 at::Tensor band_mask(int64_t num_frames, int64_t radius, c10::Device device) {
-  const at::Tensor index = at::arange(num_frames, at::TensorOptions().dtype(at::kLong).device(device));
+  const at::Tensor index =
+      at::arange(num_frames, at::TensorOptions().dtype(at::kLong).device(device));
   return (index.unsqueeze(0) - index.unsqueeze(1)).abs() <= radius;
 }
 

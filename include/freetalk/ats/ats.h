@@ -1,10 +1,12 @@
-// ATS, Audio-To-Sparse [FreeTalk 3.1]: the transformer denoiser f(x_l, l, A, e, i) -> x_0 over landmark displacements.
+// ATS, Audio-To-Sparse [FreeTalk 3.1]: the transformer denoiser f(x_l, l, A, e, i) -> x_0 over
+// landmark displacements.
 //
-//   Z = W_x x_l + P_tgt + g_t(l) + g_c(e, i),   memory = W_h H + P_mem                                   [Eq. 6]
-//   per layer: self-attention, cross-attention to the memory within |i - j| <= r, feed-forward          [Eq. 7-10]
-//   x_0 = Z_out W_o + b_o                                                                                [Eq. 11]
+//   Z = W_x x_l + P_tgt + g_t(l) + g_c(e, i),   memory = W_h H + P_mem [Eq. 6] per layer:
+//   self-attention, cross-attention to the memory within |i - j| <= r, feed-forward          [Eq.
+//   7-10] x_0 = Z_out W_o + b_o [Eq. 11]
 //
-// The diffusion runs on normalised displacements (x - motion_mean) / motion_scale; the two are buffers.
+// The diffusion runs on normalised displacements (x - motion_mean) / motion_scale; the two are
+// buffers.
 #pragma once
 
 #include <torch/nn/module.h>
@@ -22,7 +24,7 @@
 
 namespace freetalk::ats {
 
-constexpr int64_t kNumLandmarks = 68;             // N
+constexpr int64_t kNumLandmarks = 68;              // N
 constexpr int64_t kMotionDim = 3 * kNumLandmarks;  // D
 
 struct AtsOptions {
@@ -34,12 +36,13 @@ struct AtsOptions {
   bool norm_first = false;          // unstated; false: post-norm as in Vaswani et al.
   std::string activation = "gelu";  // unstated; "gelu" or "relu"
   int64_t audio_dim = 768;          // C, channels of the speech features
-  int64_t max_frames = 600;         // learned positions; longer motion is generated in overlapping windows
-  int64_t band_radius = 3;          // r of Eq. 9, frames; unstated in the paper; -1: no band
-  int64_t num_intensities = 3;      // learned levels 1 .. num_intensities
-  double fps = 30.0;                // frames per second of the motion
-  std::vector<std::string> emotions = {"neutral", "afraid", "ashamed", "angry",      "disgust", "happy",    "sad",
-                                       "drunk",   "ill",    "suspicious", "pleased", "upset",   "surprise", "contempt"};
+  int64_t max_frames = 600;  // learned positions; longer motion is generated in overlapping windows
+  int64_t band_radius = 3;   // r of Eq. 9, frames; unstated in the paper; -1: no band
+  int64_t num_intensities = 3;  // learned levels 1 .. num_intensities
+  double fps = 30.0;            // frames per second of the motion
+  std::vector<std::string> emotions = {"neutral", "afraid", "ashamed",  "angry",   "disgust",
+                                       "happy",   "sad",    "drunk",    "ill",     "suspicious",
+                                       "pleased", "upset",  "surprise", "contempt"};
   std::string schedule = "linear";  // noise schedule, see diffusion::ScheduleOptions
   int64_t num_train_steps = 1000;   // T_d
   double beta_start = 1e-4;
@@ -70,19 +73,22 @@ struct AtsOptions {
 
 /// What the denoiser is conditioned on; tensors of one batch.
 struct Condition {
-  at::Tensor audio;      // (B, T, C) float, speech features at the motion's frames
-  at::Tensor emotion;    // (B, E) float, convex mixture over AtsOptions::emotions (one-hot: the paper)
-  at::Tensor intensity;  // (B,) float in [1, num_intensities], interpolated between the learned levels
-  at::Tensor valid;       // (B, T) bool, false on padding; undefined: all valid
-  at::Tensor drop_audio;  // (B,) bool, true: the learned null audio (guidance); undefined: none
-  at::Tensor drop_affect; // (B,) bool, true: the learned null affect; undefined: none
+  at::Tensor audio;  // (B, T, C) float, speech features at the motion's frames
+  at::Tensor
+      emotion;  // (B, E) float, convex mixture over AtsOptions::emotions (one-hot: the paper)
+  at::Tensor
+      intensity;     // (B,) float in [1, num_intensities], interpolated between the learned levels
+  at::Tensor valid;  // (B, T) bool, false on padding; undefined: all valid
+  at::Tensor drop_audio;   // (B,) bool, true: the learned null audio (guidance); undefined: none
+  at::Tensor drop_affect;  // (B,) bool, true: the learned null affect; undefined: none
 };
 
 class AtsImpl : public torch::nn::Module {
  public:
   explicit AtsImpl(const AtsOptions& options);
 
-  /// @param x (B, T, 204) noisy normalised displacements, T <= max_frames. @param timestep (B,) int64.
+  /// @param x (B, T, 204) noisy normalised displacements, T <= max_frames. @param timestep (B,)
+  /// int64.
   /// @returns (B, T, 204), the estimate of the clean normalised displacements.
   at::Tensor forward(const at::Tensor& x, const at::Tensor& timestep, const Condition& condition);
 
@@ -95,7 +101,8 @@ class AtsImpl : public torch::nn::Module {
   const AtsOptions& options() const { return options_; }
 
  private:
-  void check_inputs(const at::Tensor& x, const at::Tensor& timestep, const Condition& condition) const;
+  void check_inputs(const at::Tensor& x, const at::Tensor& timestep,
+                    const Condition& condition) const;
   at::Tensor time_code(const at::Tensor& timestep);
   at::Tensor affect_code(const Condition& condition);
   at::Tensor audio_memory(const Condition& condition);
@@ -103,7 +110,8 @@ class AtsImpl : public torch::nn::Module {
   AtsOptions options_;
   torch::nn::Linear input_proj_{nullptr}, memory_proj_{nullptr}, output_proj_{nullptr};
   at::Tensor target_positions_, memory_positions_, null_audio_, null_affect_;
-  torch::nn::Linear time_in_{nullptr}, time_out_{nullptr}, affect_in_{nullptr}, affect_out_{nullptr};
+  torch::nn::Linear time_in_{nullptr}, time_out_{nullptr}, affect_in_{nullptr},
+      affect_out_{nullptr};
   torch::nn::Embedding emotion_embedding_{nullptr}, intensity_embedding_{nullptr};
   std::vector<nn::TransformerDecoderLayer> layers_;
   torch::nn::LayerNorm norm_{nullptr};

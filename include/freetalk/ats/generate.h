@@ -1,7 +1,9 @@
-// Motion of any length from speech features: DDIM over overlapping windows that are denoised together.
+// Motion of any length from speech features: DDIM over overlapping windows that are denoised
+// together.
 //
-// Every reverse step splits the noisy sequence into windows of max_frames, predicts x_0 in each, and cross-fades the
-// predictions where windows overlap, so the windows agree at every noise level and no seam is left.
+// Every reverse step splits the noisy sequence into windows of max_frames, predicts x_0 in each,
+// and cross-fades the predictions where windows overlap, so the windows agree at every noise level
+// and no seam is left.
 #pragma once
 
 #include <string>
@@ -33,7 +35,8 @@ struct GenerateOptions {
   void check() const;
 };
 
-/// First frames of windows of `window` frames that cover `num_frames` and overlap by at least `overlap`.
+/// First frames of windows of `window` frames that cover `num_frames` and overlap by at least
+/// `overlap`.
 std::vector<int64_t> window_starts(int64_t num_frames, int64_t window, int64_t overlap);
 
 /// @param model in eval mode. @param features (T, C) speech features at the model's fps.
@@ -41,8 +44,8 @@ std::vector<int64_t> window_starts(int64_t num_frames, int64_t window, int64_t o
 /// @param generator draws x_T (and the noise of eta > 0).
 /// @returns (T, 68, 3) float32 landmark displacements, metres, canonical frame.
 /// @throws std::invalid_argument on shapes or values out of range.
-at::Tensor generate(Ats& model, const at::Tensor& features, const at::Tensor& emotion, double intensity,
-                    const GenerateOptions& options, at::Generator generator,
+at::Tensor generate(Ats& model, const at::Tensor& features, const at::Tensor& emotion,
+                    double intensity, const GenerateOptions& options, at::Generator generator,
                     const diffusion::StepCallback& on_step = {});
 
 /// "happy", "fear" (an alias) or "happy:0.7,sad:0.3" to a convex mixture (E,) over `emotions`.

@@ -18,19 +18,20 @@ TensorMap state_of(const torch::nn::Module& module);
 /// @throws std::runtime_error naming `where` and every missing, unexpected or misshaped tensor.
 void load_state(torch::nn::Module& module, const TensorMap& state, const std::string& where);
 
-/// The text of the "options" object in DIR/config.json. @throws std::runtime_error naming the file when it is
-/// missing, broken, or of another `format`.
+/// The text of the "options" object in DIR/config.json. @throws std::runtime_error naming the file
+/// when it is missing, broken, or of another `format`.
 std::string read_model_options(const std::filesystem::path& directory, const std::string& format);
 
 /// Writes DIR/config.json and DIR/model.safetensors.
-void save_model(const std::filesystem::path& directory, const std::string& format, const std::string& options_json,
-                const torch::nn::Module& module);
+void save_model(const std::filesystem::path& directory, const std::string& format,
+                const std::string& options_json, const torch::nn::Module& module);
 
 /// Builds a model from its folder: `Holder` is a torch module holder over `Options`.
 template <class Holder, class Options>
 Holder load_model(const std::filesystem::path& directory, const std::string& format) {
   Options options;
-  options_from_json(options, read_model_options(directory, format), (directory / "config.json").string());
+  options_from_json(options, read_model_options(directory, format),
+                    (directory / "config.json").string());
   Holder model(options);
   const auto weights = directory / "model.safetensors";
   load_state(*model, load_safetensors(weights), weights.string());

@@ -15,8 +15,8 @@
 namespace freetalk::core {
 
 /// Everything an option may hold.
-using OptionValue =
-    std::variant<bool, int64_t, double, std::string, std::vector<int64_t>, std::vector<double>, std::vector<std::string>>;
+using OptionValue = std::variant<bool, int64_t, double, std::string, std::vector<int64_t>,
+                                 std::vector<double>, std::vector<std::string>>;
 
 struct NamedOption {
   std::string name;

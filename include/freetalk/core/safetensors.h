@@ -1,5 +1,6 @@
 // Safetensors files: memory-mapped reading, atomic writing.
-// Format: 8-byte little-endian header length, JSON header {name: {dtype, shape, data_offsets}}, raw data.
+// Format: 8-byte little-endian header length, JSON header {name: {dtype, shape, data_offsets}}, raw
+// data.
 #pragma once
 
 #include <ATen/core/Tensor.h>
@@ -23,7 +24,8 @@ class SafetensorsFile {
 
   std::vector<std::string> keys() const;
   bool contains(const std::string& key) const { return tensors_.count(key) != 0; }
-  /// The tensor `key`, not copied (do not write to it). @throws std::runtime_error naming file and key.
+  /// The tensor `key`, not copied (do not write to it). @throws std::runtime_error naming file and
+  /// key.
   at::Tensor tensor(const std::string& key) const;
   const Metadata& metadata() const { return metadata_; }
   const std::filesystem::path& path() const { return path_; }
@@ -38,6 +40,7 @@ class SafetensorsFile {
 TensorMap load_safetensors(const std::filesystem::path& path);
 
 /// Writes `tensors` (any device; stored contiguous) atomically.
-void save_safetensors(const std::filesystem::path& path, const TensorMap& tensors, const Metadata& metadata = {});
+void save_safetensors(const std::filesystem::path& path, const TensorMap& tensors,
+                      const Metadata& metadata = {});
 
 }  // namespace freetalk::core

@@ -1,7 +1,8 @@
 // DDIM sampling [Song, Meng, Ermon 2021] for a denoiser that predicts x_0.
 //
-//   eps = (x_l - sqrt(a_l) x0) / sqrt(1 - a_l),  s = eta sqrt((1 - a_p) / (1 - a_l)) sqrt(1 - a_l / a_p),
-//   x_p = sqrt(a_p) x0 + sqrt(1 - a_p - s^2) eps + s z,   a = alpha_bar, p = the next timestep.
+//   eps = (x_l - sqrt(a_l) x0) / sqrt(1 - a_l),  s = eta sqrt((1 - a_p) / (1 - a_l)) sqrt(1 - a_l /
+//   a_p), x_p = sqrt(a_p) x0 + sqrt(1 - a_p - s^2) eps + s z,   a = alpha_bar, p = the next
+//   timestep.
 #pragma once
 
 #include <ATen/core/Generator.h>
@@ -36,8 +37,10 @@ using Denoiser = std::function<at::Tensor(const at::Tensor& x, int64_t timestep)
 /// Called after each step with (steps done, steps in all).
 using StepCallback = std::function<void(int64_t done, int64_t total)>;
 
-/// @param noise x_{T_d}, any shape. @param generator for eta > 0. @returns the final estimate of x_0.
+/// @param noise x_{T_d}, any shape. @param generator for eta > 0. @returns the final estimate of
+/// x_0.
 at::Tensor ddim_sample(const Schedule& schedule, const Denoiser& denoiser, const at::Tensor& noise,
-                       const DdimOptions& options, at::Generator generator, const StepCallback& on_step = {});
+                       const DdimOptions& options, at::Generator generator,
+                       const StepCallback& on_step = {});
 
 }  // namespace freetalk::diffusion

@@ -1,4 +1,5 @@
-// Noise schedules and the forward process of denoising diffusion [Ho et al. 2020; FreeTalk Eq. 4-5].
+// Noise schedules and the forward process of denoising diffusion [Ho et al. 2020; FreeTalk Eq.
+// 4-5].
 #pragma once
 
 #include <ATen/core/Tensor.h>
@@ -28,7 +29,8 @@ class Schedule {
 
   /// x_l = sqrt(alpha_bar_l) x_0 + sqrt(1 - alpha_bar_l) eps [FreeTalk Eq. 5].
   /// @param x0 (B, ...). @param timestep (B,) int64 in [0, num_steps). @param noise as x0.
-  at::Tensor q_sample(const at::Tensor& x0, const at::Tensor& timestep, const at::Tensor& noise) const;
+  at::Tensor q_sample(const at::Tensor& x0, const at::Tensor& timestep,
+                      const at::Tensor& noise) const;
 
   /// alpha_bar at a timestep; 1 at -1 (the clean end).
   double alpha_bar(int64_t timestep) const;

@@ -1,4 +1,5 @@
-// DiffusionNet [Sharp, Attaiki, Crane, Ovsjanikov 2022]: learned heat diffusion on a surface, for many frames at once.
+// DiffusionNet [Sharp, Attaiki, Crane, Ovsjanikov 2022]: learned heat diffusion on a surface, for
+// many frames at once.
 //
 //   x_d = Phi exp(-lambda t) Phi^T M x,  g = (G_x x_d, G_y x_d),  z = tanh(Re(conj(g) A g)),
 //   block(x) = x + MLP([x, x_d, z]).
@@ -20,9 +21,10 @@ namespace freetalk::nn {
 struct DiffusionNetOptions {
   int64_t in_channels = 6;
   int64_t out_channels = 128;
-  int64_t width = 128;   // C
+  int64_t width = 128;  // C
   int64_t num_blocks = 4;
-  double dropout = 0.0;  // 0.5 in the public package; before every linear of a block's MLP but the first
+  double dropout =
+      0.0;  // 0.5 in the public package; before every linear of a block's MLP but the first
   template <class V>
   void fields(V& v) {
     v("in_channels", in_channels);
@@ -75,9 +77,11 @@ class DiffusionNetImpl : public torch::nn::Module {
  public:
   explicit DiffusionNetImpl(const DiffusionNetOptions& options);
 
-  /// @param x (B, V, in_channels) values at the vertices of one mesh. @returns (B, V, out_channels).
+  /// @param x (B, V, in_channels) values at the vertices of one mesh. @returns (B, V,
+  /// out_channels).
   at::Tensor forward(const at::Tensor& x, const geometry::SurfaceOperators& operators);
-  /// What follows the first linear layer: for callers that compute it in parts. @param hidden (B, V, width).
+  /// What follows the first linear layer: for callers that compute it in parts. @param hidden (B,
+  /// V, width).
   at::Tensor forward_hidden(const at::Tensor& hidden, const geometry::SurfaceOperators& operators);
 
   const DiffusionNetOptions& options() const { return options_; }

@@ -7,7 +7,8 @@
 
 namespace freetalk::nn {
 
-/// Sinusoidal code [Vaswani et al. 2017; Ho et al. 2020]: (sin(p w_0..), cos(p w_0..)), w_i = 10000^(-i / (dim/2)).
+/// Sinusoidal code [Vaswani et al. 2017; Ho et al. 2020]: (sin(p w_0..), cos(p w_0..)), w_i =
+/// 10000^(-i / (dim/2)).
 /// @param positions (N,) any number type.
 /// @param dim even number of channels.
 /// @returns (N, dim) float32 on the device of `positions`.

@@ -11,10 +11,11 @@
 
 namespace freetalk::nn {
 
-/// Edges (i < j) of the landmark graph: the iBUG contours (jaw 0-16, brows 17-21 and 22-26, nose bridge 27-30 and base
-/// 31-35, eyes 36-41 and 42-47, outer lips 48-59, inner lips 60-67), with symmetric links across mouth (inner to outer
-/// lips, upper to lower), eyes (upper to lower lid, brow to lid), nose (bridge to base, to the inner eye corners) and
-/// jaw (to its mirror image, to mouth and brows), so that the graph is connected.
+/// Edges (i < j) of the landmark graph: the iBUG contours (jaw 0-16, brows 17-21 and 22-26, nose
+/// bridge 27-30 and base 31-35, eyes 36-41 and 42-47, outer lips 48-59, inner lips 60-67), with
+/// symmetric links across mouth (inner to outer lips, upper to lower), eyes (upper to lower lid,
+/// brow to lid), nose (bridge to base, to the inner eye corners) and jaw (to its mirror image, to
+/// mouth and brows), so that the graph is connected.
 const std::vector<std::pair<int64_t, int64_t>>& landmark_edges();
 
 /// Index of each landmark's mirror image (left-right).

@@ -1,4 +1,5 @@
-// Transformer decoder layer with masks of any shape; parameter names equal torch.nn.TransformerDecoderLayer's.
+// Transformer decoder layer with masks of any shape; parameter names equal
+// torch.nn.TransformerDecoderLayer's.
 #pragma once
 
 #include <torch/nn/module.h>
@@ -24,7 +25,8 @@ class MultiheadAttentionImpl : public torch::nn::Module {
  public:
   MultiheadAttentionImpl(int64_t d_model, int64_t num_heads, double dropout);
 
-  /// @param query (B, T, d). @param memory (B, S, d). @param allowed bool, broadcastable to (B, heads, T, S); true
+  /// @param query (B, T, d). @param memory (B, S, d). @param allowed bool, broadcastable to (B,
+  /// heads, T, S); true
   ///   where attention may go; undefined: everywhere.
   at::Tensor forward(const at::Tensor& query, const at::Tensor& memory, const at::Tensor& allowed);
 
@@ -43,7 +45,8 @@ class TransformerDecoderLayerImpl : public torch::nn::Module {
  public:
   explicit TransformerDecoderLayerImpl(const TransformerLayerOptions& options);
 
-  /// @param x (B, T, d). @param memory (B, S, d). @param self_allowed, cross_allowed as in MultiheadAttention.
+  /// @param x (B, T, d). @param memory (B, S, d). @param self_allowed, cross_allowed as in
+  /// MultiheadAttention.
   at::Tensor forward(const at::Tensor& x, const at::Tensor& memory, const at::Tensor& self_allowed,
                      const at::Tensor& cross_allowed);
 
@@ -58,7 +61,8 @@ class TransformerDecoderLayerImpl : public torch::nn::Module {
 };
 TORCH_MODULE(TransformerDecoderLayer);
 
-/// Attention allowed where |i - j| <= radius [FreeTalk Eq. 9; -inf outside, see papers.md]: (T, T) bool.
+/// Attention allowed where |i - j| <= radius [FreeTalk Eq. 9; -inf outside, see papers.md]: (T, T)
+/// bool.
 at::Tensor band_mask(int64_t num_frames, int64_t radius, c10::Device device);
 
 }  // namespace freetalk::nn

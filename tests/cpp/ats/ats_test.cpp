@@ -25,7 +25,8 @@ Condition condition_for(int64_t batch, int64_t frames) {
   const auto generator = core::make_generator(1);
   at::Tensor emotion = torch::zeros({batch, 3});
   emotion.select(1, 1).fill_(1);
-  return {torch::randn({batch, frames, 5}, generator), emotion, torch::full({batch}, 2.0), {}, {}, {}};
+  return {
+      torch::randn({batch, frames, 5}, generator), emotion, torch::full({batch}, 2.0), {}, {}, {}};
 }
 
 at::Tensor random_motion(int64_t batch, int64_t frames) {
@@ -58,7 +59,8 @@ TEST(Ats, PaddingDoesNotReachValidFrames) {
 TEST(Ats, AudioReachesOnlyTheBand) {
   torch::manual_seed(0);
   AtsOptions options = small_options();
-  options.num_layers = 1;  // self-attention comes before cross-attention: with one layer nothing spreads further
+  options.num_layers =
+      1;  // self-attention comes before cross-attention: with one layer nothing spreads further
   options.band_radius = 2;
   Ats model(options);
   model->eval();
@@ -99,9 +101,12 @@ TEST(Ats, MotionStatisticsInvertEachOther) {
 
 TEST(Ats, WrongShapesAreNamed) {
   Ats model(small_options());
-  EXPECT_THROW(model(torch::zeros({1, 4, 7}), torch::tensor({1}), condition_for(1, 4)), std::invalid_argument);
-  EXPECT_THROW(model(random_motion(1, 21), torch::tensor({1}), condition_for(1, 21)), std::invalid_argument);
-  EXPECT_THROW(model(random_motion(1, 4), torch::tensor({1}), condition_for(1, 5)), std::invalid_argument);
+  EXPECT_THROW(model(torch::zeros({1, 4, 7}), torch::tensor({1}), condition_for(1, 4)),
+               std::invalid_argument);
+  EXPECT_THROW(model(random_motion(1, 21), torch::tensor({1}), condition_for(1, 21)),
+               std::invalid_argument);
+  EXPECT_THROW(model(random_motion(1, 4), torch::tensor({1}), condition_for(1, 5)),
+               std::invalid_argument);
 }
 
 TEST(WindowStarts, CoverAndOverlap) {
@@ -159,7 +164,8 @@ TEST(Generate, IntensityOutOfRangeThrows) {
 TEST(ParseEmotion, NamesAliasesAndMixtures) {
   const std::vector<std::string> emotions = {"neutral", "happy", "afraid"};
   EXPECT_TRUE(torch::allclose(parse_emotion("fear", emotions), torch::tensor({0.0F, 0.0F, 1.0F})));
-  EXPECT_TRUE(torch::allclose(parse_emotion("happy:3,neutral:1", emotions), torch::tensor({0.25F, 0.75F, 0.0F})));
+  EXPECT_TRUE(torch::allclose(parse_emotion("happy:3,neutral:1", emotions),
+                              torch::tensor({0.25F, 0.75F, 0.0F})));
   for (const char* bad : {"hungry", "happy:", "happy:-1", "happy:0", "", "happy:x"}) {
     EXPECT_THROW(parse_emotion(bad, emotions), std::invalid_argument) << bad;
   }

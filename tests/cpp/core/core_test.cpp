@@ -55,15 +55,17 @@ TEST(Options, RoundTripThroughJson) {
 
 TEST(Options, UnknownKeyNamesTheNearest) {
   SampleOptions options;
-  const std::string message = error_of([&] { options_from_json(options, R"({"widht": 3})", "file.yaml"); });
+  const std::string message =
+      error_of([&] { options_from_json(options, R"({"widht": 3})", "file.yaml"); });
   EXPECT_NE(message.find("file.yaml"), std::string::npos);
   EXPECT_NE(message.find("did you mean 'width'"), std::string::npos);
 }
 
 TEST(Options, WrongTypeAndFailedCheckThrow) {
   SampleOptions options;
-  EXPECT_NE(error_of([&] { options_from_json(options, R"({"width": "x"})", "f"); }).find("an integer"),
-            std::string::npos);
+  EXPECT_NE(
+      error_of([&] { options_from_json(options, R"({"width": "x"})", "f"); }).find("an integer"),
+      std::string::npos);
   EXPECT_NE(error_of([&] { options_from_json(options, R"({"width": 0})", "f"); }).find("positive"),
             std::string::npos);
 }
@@ -87,16 +89,20 @@ TEST(Safetensors, BrokenFilesAreNamed) {
   const auto path = temporary_path("broken.safetensors");
   save_safetensors(path, {{"a", torch::ones({64})}});
   std::filesystem::resize_file(path, 100);
-  EXPECT_NE(error_of([&] { load_safetensors(path); }).find("broken.safetensors"), std::string::npos);
+  EXPECT_NE(error_of([&] { load_safetensors(path); }).find("broken.safetensors"),
+            std::string::npos);
   write_file_atomic(path, std::string("not safetensors at all"));
-  EXPECT_NE(error_of([&] { load_safetensors(path); }).find("not a safetensors file"), std::string::npos);
-  EXPECT_NE(error_of([&] { load_safetensors(temporary_path("absent")); }).find("no such file"), std::string::npos);
+  EXPECT_NE(error_of([&] { load_safetensors(path); }).find("not a safetensors file"),
+            std::string::npos);
+  EXPECT_NE(error_of([&] { load_safetensors(temporary_path("absent")); }).find("no such file"),
+            std::string::npos);
 }
 
 TEST(ModuleIo, EveryMisfitIsListed) {
   torch::nn::Linear linear(2, 3);
-  const std::string message =
-      error_of([&] { load_state(*linear, {{"weight", torch::ones({3, 5})}, {"extra", torch::ones({1})}}, "w"); });
+  const std::string message = error_of([&] {
+    load_state(*linear, {{"weight", torch::ones({3, 5})}, {"extra", torch::ones({1})}}, "w");
+  });
   EXPECT_NE(message.find("missing: bias"), std::string::npos);
   EXPECT_NE(message.find("shape of weight"), std::string::npos);
   EXPECT_NE(message.find("unexpected: extra"), std::string::npos);
@@ -104,7 +110,9 @@ TEST(ModuleIo, EveryMisfitIsListed) {
 
 TEST(ModuleIo, HalfPrecisionWeightsAreConverted) {
   torch::nn::Linear linear(2, 2);
-  load_state(*linear, {{"weight", torch::full({2, 2}, 0.5, torch::kHalf)}, {"bias", torch::zeros({2})}}, "w");
+  load_state(*linear,
+             {{"weight", torch::full({2, 2}, 0.5, torch::kHalf)}, {"bias", torch::zeros({2})}},
+             "w");
   EXPECT_EQ(linear->weight.scalar_type(), torch::kFloat);
   EXPECT_TRUE(torch::allclose(linear->weight, torch::full({2, 2}, 0.5)));
 }
@@ -122,8 +130,10 @@ TEST(File, FailedWriteLeavesTheOldFile) {
 }
 
 TEST(Random, SameSeedSameNumbers) {
-  EXPECT_TRUE(torch::equal(torch::randn({8}, make_generator(3)), torch::randn({8}, make_generator(3))));
-  EXPECT_FALSE(torch::equal(torch::randn({8}, make_generator(3)), torch::randn({8}, make_generator(4))));
+  EXPECT_TRUE(
+      torch::equal(torch::randn({8}, make_generator(3)), torch::randn({8}, make_generator(3))));
+  EXPECT_FALSE(
+      torch::equal(torch::randn({8}, make_generator(3)), torch::randn({8}, make_generator(4))));
 }
 
 }  // namespace

@@ -52,7 +52,8 @@ TEST(Ddim, TrailingStartsAtTheNoisiestStep) {
   EXPECT_EQ(ddim_timesteps(1000, {100, 0.0, "linspace"}).back(), 0);
 }
 
-// For Gaussian data N(m, s^2) the best denoiser is known: samples must have that mean and deviation.
+// For Gaussian data N(m, s^2) the best denoiser is known: samples must have that mean and
+// deviation.
 TEST(Ddim, RecoversAGaussian) {
   const Schedule schedule;
   const double mean = 3, deviation = 0.5;
@@ -63,9 +64,11 @@ TEST(Ddim, RecoversAGaussian) {
   };
   for (const double eta : {0.0, 1.0}) {
     const at::Tensor noise = torch::randn({20000}, core::make_generator(5));
-    const at::Tensor sample = ddim_sample(schedule, denoiser, noise, {250, eta, "trailing"}, core::make_generator(6));
+    const at::Tensor sample =
+        ddim_sample(schedule, denoiser, noise, {250, eta, "trailing"}, core::make_generator(6));
     EXPECT_NEAR(sample.mean().item<double>(), mean, 0.02);
-    EXPECT_NEAR(sample.std().item<double>(), deviation, 0.03);  // 250 of 1000 steps discretise the reverse process
+    EXPECT_NEAR(sample.std().item<double>(), deviation,
+                0.03);  // 250 of 1000 steps discretise the reverse process
   }
 }
 

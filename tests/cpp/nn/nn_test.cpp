@@ -34,7 +34,8 @@ geometry::SurfaceOperators grid_operators(int64_t k) {
   }
   Eigen::MatrixXi faces(static_cast<int>(triangles.size()), 3);
   for (size_t f = 0; f < triangles.size(); ++f) {
-    for (int c = 0; c < 3; ++c) faces(static_cast<int>(f), c) = triangles[f][static_cast<size_t>(c)];
+    for (int c = 0; c < 3; ++c)
+      faces(static_cast<int>(f), c) = triangles[f][static_cast<size_t>(c)];
   }
   geometry::OperatorOptions options;
   options.k_eig = k;
@@ -57,13 +58,15 @@ TEST(SparseProduct, EqualsDenseWithGradient) {
 
 TEST(SparseProduct, WrongSizeIsNamed) {
   const at::Tensor dense = random_sparse(4, 5);
-  EXPECT_THROW(sparse_product(dense.to_sparse_csr(), dense.t().to_sparse_csr(), torch::zeros({1, 4, 2})),
-               std::invalid_argument);
+  EXPECT_THROW(
+      sparse_product(dense.to_sparse_csr(), dense.t().to_sparse_csr(), torch::zeros({1, 4, 2})),
+      std::invalid_argument);
 }
 
 TEST(SinusoidalCode, IsTheClosedForm) {
   const at::Tensor code = sinusoidal_code(torch::tensor({0, 3}), 4);
-  const float expected[] = {0, 0, 1, 1, std::sin(3.0F), std::sin(0.03F), std::cos(3.0F), std::cos(0.03F)};
+  const float expected[] = {
+      0, 0, 1, 1, std::sin(3.0F), std::sin(0.03F), std::cos(3.0F), std::cos(0.03F)};
   for (int i = 0; i < 8; ++i) EXPECT_NEAR(code.view(-1)[i].item<float>(), expected[i], 1e-6);
 }
 
@@ -91,7 +94,8 @@ TEST(MultiheadAttention, MaskedKeysHaveNoInfluence) {
 TEST(LandmarkGraph, IsSymmetricUnderMirrorAndConnected) {
   std::set<std::pair<int64_t, int64_t>> edges(landmark_edges().begin(), landmark_edges().end());
   for (const auto& [a, b] : edges) {
-    const int64_t ma = landmark_mirror()[static_cast<size_t>(a)], mb = landmark_mirror()[static_cast<size_t>(b)];
+    const int64_t ma = landmark_mirror()[static_cast<size_t>(a)],
+                  mb = landmark_mirror()[static_cast<size_t>(b)];
     EXPECT_EQ(edges.count({std::min(ma, mb), std::max(ma, mb)}), 1U) << a << "-" << b;
   }
   at::Tensor reach = (landmark_adjacency() > 0).to(torch::kFloat);
@@ -115,7 +119,8 @@ TEST(DiffusionNet, FramesAreIndependent) {
   const at::Tensor x = torch::randn({4, 36, 3}, torch::kDouble);
   const at::Tensor all = net(x, operators);
   for (int64_t frame = 0; frame < 4; ++frame) {
-    EXPECT_TRUE(torch::allclose(all.narrow(0, frame, 1), net(x.narrow(0, frame, 1), operators), 1e-9, 1e-9));
+    EXPECT_TRUE(torch::allclose(all.narrow(0, frame, 1), net(x.narrow(0, frame, 1), operators),
+                                1e-9, 1e-9));
   }
 }
 

@@ -31,8 +31,8 @@ struct Sheet {
     for (int i = 0; i < 9; ++i) {
       for (int j = 0; j < 8; ++j) {
         const double angle = 0.3 * (j - 3.5);
-        vertices.row(order[static_cast<size_t>(8 * i + j)]) << 0.08 * std::sin(angle), 0.02 * (i - 4),
-            0.08 * std::cos(angle);
+        vertices.row(order[static_cast<size_t>(8 * i + j)]) << 0.08 * std::sin(angle),
+            0.02 * (i - 4), 0.08 * std::cos(angle);
         if (i < 8 && j < 7) {
           const auto at = [&](int a, int b) { return order[static_cast<size_t>(8 * a + b)]; };
           faces.row(face++) << at(i, j), at(i, j + 1), at(i + 1, j);
@@ -51,8 +51,8 @@ struct Prepared {
 Prepared prepare(const Sheet& sheet, const StmOptions& options) {
   geometry::OperatorOptions operator_options;
   operator_options.k_eig = options.k_eig;
-  const auto operators =
-      geometry::surface_operators(sheet.vertices / options.length_scale, sheet.faces, operator_options);
+  const auto operators = geometry::surface_operators(sheet.vertices / options.length_scale,
+                                                     sheet.faces, operator_options);
   at::Tensor positions = torch::empty({72, 3}, torch::kDouble);
   for (int i = 0; i < 72; ++i) {
     for (int c = 0; c < 3; ++c) positions[i][c] = sheet.vertices(i, c);
@@ -84,7 +84,8 @@ at::Tensor random_landmarks(int64_t frames) {
 TEST(Stm, UntrainedFaceStaysStill) {
   Stm model(small_options());
   const Prepared mesh = prepare(Sheet(identity_order()), model->options());
-  EXPECT_EQ(model(mesh.positions, mesh.operators, random_landmarks(2)).abs().max().item<float>(), 0.0F);
+  EXPECT_EQ(model(mesh.positions, mesh.operators, random_landmarks(2)).abs().max().item<float>(),
+            0.0F);
 }
 
 TEST(Stm, VertexOrderDoesNotMatter) {
@@ -97,7 +98,8 @@ TEST(Stm, VertexOrderDoesNotMatter) {
   const at::Tensor a = model(plain.positions, plain.operators, landmarks);
   const at::Tensor b = model(shuffled.positions, shuffled.operators, landmarks);
   const at::Tensor index = torch::tensor(std::vector<int64_t>(order.begin(), order.end()));
-  EXPECT_LT((a - b.index_select(1, index)).abs().max().item<float>(), 2e-3F * a.abs().max().item<float>());
+  EXPECT_LT((a - b.index_select(1, index)).abs().max().item<float>(),
+            2e-3F * a.abs().max().item<float>());
 }
 
 TEST(Stm, ChunksEqualTheWhole) {
@@ -108,12 +110,13 @@ TEST(Stm, ChunksEqualTheWhole) {
   const at::Tensor whole = model(mesh.positions, mesh.operators, landmarks);
   at::Tensor chunked = torch::full_like(whole, NAN);
   int64_t calls = 0;
-  decode_chunked(model, model->encode(mesh.positions, mesh.operators), mesh.operators, landmarks,
-                 [&](int64_t first, const at::Tensor& part) {
-                   chunked.narrow(0, first, part.size(0)).copy_(part);
-                   ++calls;
-                 },
-                 72 * (12 * 16 + 4 * 16) * 4 * 3);
+  decode_chunked(
+      model, model->encode(mesh.positions, mesh.operators), mesh.operators, landmarks,
+      [&](int64_t first, const at::Tensor& part) {
+        chunked.narrow(0, first, part.size(0)).copy_(part);
+        ++calls;
+      },
+      72 * (12 * 16 + 4 * 16) * 4 * 3);
   EXPECT_EQ(calls, 4);
   EXPECT_LT((whole - chunked).abs().max().item<float>(), 1e-5F * whole.abs().max().item<float>());
 }
@@ -136,12 +139,15 @@ TEST(Stm, GradientsReachMeshAndLandmarkPaths) {
 TEST(Stm, WrongInputsAreNamed) {
   Stm model(small_options());
   const Prepared mesh = prepare(Sheet(identity_order()), model->options());
-  EXPECT_THROW(model(mesh.positions.narrow(0, 0, 70), mesh.operators, random_landmarks(1)), std::invalid_argument);
-  EXPECT_THROW(model(mesh.positions, mesh.operators, torch::zeros({1, 67, 3})), std::invalid_argument);
+  EXPECT_THROW(model(mesh.positions.narrow(0, 0, 70), mesh.operators, random_landmarks(1)),
+               std::invalid_argument);
+  EXPECT_THROW(model(mesh.positions, mesh.operators, torch::zeros({1, 67, 3})),
+               std::invalid_argument);
   StmOptions other = small_options();
   other.k_eig = 10;
   Stm other_model(other);
-  EXPECT_THROW(other_model(mesh.positions, mesh.operators, random_landmarks(1)), std::invalid_argument);
+  EXPECT_THROW(other_model(mesh.positions, mesh.operators, random_landmarks(1)),
+               std::invalid_argument);
 }
 
 }  // namespace
