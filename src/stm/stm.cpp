@@ -2,8 +2,9 @@
 
 #include <torch/torch.h>
 
+#include <cmath>
+
 #include "freetalk/core/error.h"
-#include "freetalk/nn/embedding.h"
 
 namespace freetalk::stm {
 namespace {
@@ -17,8 +18,7 @@ void StmOptions::check() const {
   FREETALK_CHECK(encoder_width > 0 && encoder_blocks > 0 && feature_dim > 0 && decoder_width > 0 && decoder_blocks > 0,
                  "STM: widths and numbers of blocks must be positive");
   FREETALK_CHECK(gcn_layers > 0 && gcn_hidden > 0, "STM: gcn_layers and gcn_hidden must be positive");
-  FREETALK_CHECK(index_code_dim > 0 && index_code_dim % 2 == 0, "STM: index_code_dim must be even and positive, found ",
-                 index_code_dim);
+  FREETALK_CHECK(index_code_dim > 0, "STM: index_code_dim must be positive, found ", index_code_dim);
   FREETALK_CHECK(attention_heads > 0 && attention_dim > 0 && attention_dim % attention_heads == 0,
                  "STM: attention_dim (", attention_dim, ") must be a positive multiple of attention_heads (",
                  attention_heads, ")");
@@ -42,8 +42,32 @@ StmImpl::StmImpl(const StmOptions& options) : options_(options) {
   decoder_ = register_module("decoder", nn::DiffusionNet(nn::DiffusionNetOptions{
                                             options.feature_dim + kMotionDim + d, 3, options.decoder_width,
                                             options.decoder_blocks, options.dropout}));
-  torch::nn::init::zeros_(decoder_->last_lin->weight);
-  torch::nn::init::zeros_(decoder_->last_lin->bias);
+  index_code_ = register_parameter("index_code", torch::randn({kNumLandmarks, options.index_code_dim}));
+  initialize();
+}
+
+void StmImpl::initialize() {
+  // torch's default shrinks every layer by sqrt(3), and averaging over the landmark graph shrinks motion further: after
+  // seven layers attention would be uniform and blind to motion. These gains keep mesh, motion and logits near one.
+  const torch::NoGradGuard no_grad;
+  const auto scaled_normal = [](at::Tensor weight, double gain) {
+    weight.normal_(0, gain / std::sqrt(static_cast<double>(weight.size(1))));
+  };
+  encoder_->last_lin->weight.mul_(6.0);
+  for (const auto& item : gcn_->named_parameters()) {
+    if (item.value().dim() == 2) scaled_normal(item.value(), 2.5);
+  }
+  scaled_normal(landmark_proj_->weight, 1.4);
+  scaled_normal(query_proj_->weight, 1.5);
+  scaled_normal(key_proj_->weight, 1.5);
+  scaled_normal(value_proj_->weight, 1.0);
+  int64_t first = 0;
+  for (const int64_t columns : {options_.feature_dim, kMotionDim, options_.attention_dim}) {
+    scaled_normal(decoder_->first_lin->weight.narrow(1, first, columns), 1.0);
+    first += columns;
+  }
+  decoder_->last_lin->weight.zero_();
+  decoder_->last_lin->bias.zero_();
 }
 
 MeshFeatures StmImpl::encode(const at::Tensor& positions, const geometry::SurfaceOperators& operators) {
@@ -61,10 +85,8 @@ MeshFeatures StmImpl::encode(const at::Tensor& positions, const geometry::Surfac
 }
 
 at::Tensor StmImpl::landmark_features(const at::Tensor& landmarks) {
-  const at::Tensor index = at::arange(kNumLandmarks, landmarks.options());
-  const at::Tensor code = nn::sinusoidal_code(index, options_.index_code_dim).to(landmarks.scalar_type());
   const at::Tensor local = gcn_(landmarks);  // (T, 68, gcn_hidden)
-  return landmark_proj_(at::cat({local, code.expand({landmarks.size(0), -1, -1}).to(local.scalar_type())}, -1));
+  return landmark_proj_(at::cat({local, index_code_.to(local.scalar_type()).expand({landmarks.size(0), -1, -1})}, -1));
 }
 
 at::Tensor StmImpl::decode(const MeshFeatures& mesh, const geometry::SurfaceOperators& operators,

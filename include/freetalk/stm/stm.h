@@ -32,11 +32,11 @@ struct StmOptions {
   int64_t k_eig = 128;                // K, eigenpairs; unstated
   int64_t gcn_layers = 3;             // [supp. 2]
   int64_t gcn_hidden = 128;           // [supp. 2]
-  int64_t index_code_dim = 128;       // channels of PE(j), sinusoidal
+  int64_t index_code_dim = 128;       // channels of PE(j), a learned table
   int64_t attention_heads = 4;        // [supp. 2]
   int64_t attention_dim = 128;        // d_c over all heads [supp. 2]
   double length_scale = 0.1;          // m, the unit of positions and operators
-  double displacement_scale = 0.01;   // m, the unit of displacements
+  double displacement_scale = 0.002;  // m, the unit of displacements, about their spread
   template <class V>
   void fields(V& v) {
     v("encoder_width", encoder_width);
@@ -84,12 +84,14 @@ class StmImpl : public torch::nn::Module {
   const StmOptions& options() const { return options_; }
 
  private:
+  void initialize();
   at::Tensor landmark_features(const at::Tensor& landmarks);
 
   StmOptions options_;
   nn::DiffusionNet encoder_{nullptr}, decoder_{nullptr};
   nn::Gcn gcn_{nullptr};
   torch::nn::Linear landmark_proj_{nullptr}, query_proj_{nullptr}, key_proj_{nullptr}, value_proj_{nullptr};
+  at::Tensor index_code_;  // (68, index_code_dim)
 };
 TORCH_MODULE(Stm);
 
