@@ -25,6 +25,9 @@ _VALIDATION_SEED = 30
 _VALIDATION_TIMESTEPS = (0.15, 0.5, 0.85, 1.0)
 #: Smallest spread that a coordinate is divided by, relative to the mean one.
 _SPREAD_FLOOR = 0.15
+#: Inner-lip opening (m) below which the lips are at rest, and frames of a pause that stay at either end.
+_REST_GAP_M = 0.0008
+_PAUSE_MARGIN = 2
 
 
 class AtsTask:
@@ -187,11 +190,14 @@ class AtsTask:
         length = self.model_options.max_frames
         start = int(rng.integers(0, max(1, copy.num_frames - length + 1)))
         audio = self.features.features(copy, start, start + length)
+        frames = (start + np.arange(len(audio))) * copy.speed
+        motion = interpolate_frames(self._motion[sequence.id], frames)
+        if altered and rng.random() < self.options.pause_cuts:
+            kept = without_pauses(motion)
+            audio, motion = audio[kept], motion[kept]
         if altered and self.options.feature_noise > 0:
             noise = rng.standard_normal(audio.shape).astype(np.float32)
             audio = audio + self.options.feature_noise * self.features.spread * noise
-        frames = (start + np.arange(len(audio))) * copy.speed
-        motion = interpolate_frames(self._motion[sequence.id], frames)
         return {
             "audio": audio,
             "motion": motion.reshape(len(motion), -1),
@@ -241,6 +247,25 @@ class AtsTask:
     def _gap(self, motion: Tensor) -> Tensor:
         metres = (motion * self.spread + self.mean).unflatten(-1, (NUM_LANDMARKS, 3))
         return metres[..., UPPER_INNER_LIP, 1] - metres[..., LOWER_INNER_LIP, 1]
+
+
+def without_pauses(motion: npt.NDArray[np.float32]) -> npt.NDArray[np.intp]:
+    """Frames left when long pauses are shortened, so that separate words become running speech.
+
+    A pause is a run of frames with the lips at rest; it keeps a few frames at either end.
+
+    Args:
+        motion: (T, 68, 3) displacements, m.
+
+    Returns:
+        (S,) rising frame indices, at least two.
+    """
+    resting = np.abs(motion[:, 62, 1] - motion[:, 66, 1]) < _REST_GAP_M
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], resting, [False]]).astype(np.int8)))
+    kept = np.ones(len(motion), dtype=bool)
+    for first, stop in edges.reshape(-1, 2):
+        kept[first + _PAUSE_MARGIN : max(first + _PAUSE_MARGIN, stop - _PAUSE_MARGIN)] = False
+    return np.flatnonzero(kept) if kept.sum() > 1 else np.arange(len(motion))
 
 
 def _audible(sequences: list[MotionSequence]) -> list[MotionSequence]:

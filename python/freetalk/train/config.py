@@ -86,6 +86,8 @@ class AtsTaskOptions:
         audio_dropout: share of the windows that hear nothing, for guidance; 0 is the paper.
         affect_dropout: share of the windows without emotion and intensity, for guidance; 0 is the
             paper.
+        pause_cuts: share of the windows whose long pauses are cut out, which makes running speech
+            of takes of separate words; 0 is the paper.
         source_weights: share of each source in the batches; others are left out. Empty takes all
             in proportion to their length.
         lambda_velocity: weight of Eq. 15's velocity term.
@@ -102,6 +104,7 @@ class AtsTaskOptions:
     feature_noise: float = 0.0
     audio_dropout: float = 0.0
     affect_dropout: float = 0.0
+    pause_cuts: float = 0.0
     source_weights: dict[str, float] = field(default_factory=dict)
     lambda_velocity: float = 0.3
     lambda_acceleration: float = 0.1
