@@ -175,35 +175,28 @@ class Animation:
         )
 
     def __reduce__(self) -> Any:
-        return _rebuild, (
-            self.mesh,
-            self.displacements,
-            self.fps,
-            self.audio,
-            self.metadata,
-            self.frame.metres_per_unit,
-            self.frame.to_y_up,
-        )
+        mesh = self.mesh
+        surface = {
+            "vertices": mesh.vertices,
+            "polygons": mesh.polygons or mesh.faces.tolist(),
+            "texcoords": mesh.texcoords,
+            "polygon_texcoords": mesh.polygon_texcoords,
+            "name": mesh.name,
+        }
+        fields = {
+            "fps": self.fps,
+            "audio": self.audio,
+            "metadata": self.metadata,
+            "metres_per_unit": self.frame.metres_per_unit,
+            "to_y_up": self.frame.to_y_up,
+        }
+        return _rebuild, (surface, self.displacements, fields)
 
 
 def _rebuild(
-    mesh: Mesh,
-    displacements: torch.Tensor,
-    fps: float,
-    audio: Audio,
-    metadata: dict[str, Any],
-    metres_per_unit: float,
-    to_y_up: NDArray[np.float64],
+    surface: dict[str, Any], displacements: torch.Tensor, fields: dict[str, Any]
 ) -> Animation:
-    return Animation(
-        mesh,
-        displacements,
-        fps=fps,
-        audio=audio,
-        metadata=metadata,
-        metres_per_unit=metres_per_unit,
-        to_y_up=to_y_up,
-    )
+    return Animation(Mesh(**surface), displacements, **fields)
 
 
 def resample_motion(

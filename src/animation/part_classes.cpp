@@ -105,6 +105,11 @@ class Mouth {
     return 5 * above > points.rows() && 5 * below > points.rows();
   }
 
+  /// 1 in front of the throat, 0 from its back wall on: the wall does not follow the jaw.
+  double before_throat(const Vector3d& point) const {
+    return std::clamp((point.z() - inner_.z() + 0.078) / 0.012, 0.0, 1.0);
+  }
+
   static constexpr double kClear = 0.004;  // m off the plane
 
  private:
@@ -261,9 +266,11 @@ std::vector<float> jaw_shares(const MatrixXd& vertices, const Welded& welded,
     if (motions[c] != PartMotion::kJaw) continue;
     const bool spans = mouth.spans(rows_of(vertices, members[c]));
     for (const int v : members[c]) {
-      const double height = mouth.height(vertices.row(v));
-      shares[v] = !spans || height < -Mouth::kClear ? 1.0f : 0.0f;
-      open[v] = spans && std::abs(height) <= Mouth::kClear;
+      const double height = mouth.height(vertices.row(v)),
+                   before = mouth.before_throat(vertices.row(v));
+      shares[v] = !spans || (height < -Mouth::kClear && before > 0) ? 1.0f : 0.0f;
+      open[v] = spans && before > 0 && height <= Mouth::kClear &&
+                (height >= -Mouth::kClear || before < 1);
       if (open[v]) shares[v] = 0.5f;
     }
   }
