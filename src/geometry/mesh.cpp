@@ -136,7 +136,8 @@ Mesh load_mesh(const std::filesystem::path& path) {
   FREETALK_RUNTIME_CHECK(!bytes.empty(), "mesh file ", file, " is empty; export the mesh again");
   RawMesh raw = extension == "obj"   ? read_obj(path, bytes)
                 : extension == "ply" ? read_ply(path, bytes)
-                                     : read_openmesh(path, extension, bytes);
+                : extension == "off" ? read_off(path, bytes)
+                                     : read_stl(path, bytes);
   Eigen::MatrixXd vertices = to_matrix<3>(raw.vertices);
   Eigen::MatrixXd texcoords = to_matrix<2>(raw.texcoords);
   const std::string problem =

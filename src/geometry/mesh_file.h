@@ -23,9 +23,11 @@ RawMesh read_obj(const std::filesystem::path& path, const std::string& text);
 /// PLY bytes. @throws std::runtime_error naming the file.
 RawMesh read_ply(const std::filesystem::path& path, const std::string& bytes);
 
-/// OFF or STL bytes (`extension` "off", "stl"), through OpenMesh.
-/// @throws std::runtime_error naming the file.
-RawMesh read_openmesh(const std::filesystem::path& path, const std::string& extension,
-                      const std::string& bytes);
+/// OFF text. @throws std::runtime_error naming the file.
+RawMesh read_off(const std::filesystem::path& path, const std::string& text);
+
+/// STL, text or binary, of which `bytes` are the content. @throws std::runtime_error naming the
+/// file.
+RawMesh read_stl(const std::filesystem::path& path, const std::string& bytes);
 
 }  // namespace freetalk::geometry

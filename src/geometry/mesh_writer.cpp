@@ -45,7 +45,9 @@ std::string to_obj(const Mesh& mesh) {
     for (size_t c = 0; c < polygon.size(); ++c) {
       out.push_back(' ');
       out += std::to_string(polygon[c] + 1);
-      if (texcoords != nullptr) out += "/" + std::to_string((*texcoords)[c] + 1);
+      if (texcoords == nullptr) continue;
+      out.push_back('/');
+      out += std::to_string((*texcoords)[c] + 1);
     }
     out.push_back('\n');
   }

@@ -96,8 +96,8 @@ class ObjParser {
     int64_t value = 0;
     const auto [end, error] = std::from_chars(field.data(), field.data() + field.size(), value);
     FREETALK_RUNTIME_CHECK(error == std::errc() && end == field.data() + field.size(), "mesh file ",
-                           path_.string(), " line ", line_number_, ": '", field,
-                           "' is not an index; export the mesh again as OBJ");
+                           path_.string(), " line ", line_number_,
+                           ": a face needs whole numbers as indices; export the mesh again as OBJ");
     const int64_t zero_based = value < 0 ? static_cast<int64_t>(count) + value : value - 1;
     const bool valid = zero_based >= 0 && zero_based < std::numeric_limits<int>::max();
     return valid ? static_cast<int>(zero_based) : kInvalidIndex;

@@ -82,6 +82,15 @@ TEST(LoadMesh, ReadsTextAndBinaryStl) {
   EXPECT_DOUBLE_EQ(face_areas(from_binary.vertices, from_binary.faces)[0], 2.0);
 }
 
+TEST(LoadMesh, ReadsOffWithPrefixesCommentsAndColours) {
+  const TemporaryFolder folder;
+  const Mesh mesh = load_mesh(folder.write("a.off",
+                                           "COFF # coloured\n\n# counts\n3 1 0\n0 0 0 255 0 0 255\n"
+                                           "1 0 0 0 0 0 255\n0 +1.5 0 0 0 0 255\n3 0 1 2 9 9 9\n"));
+  EXPECT_EQ(mesh.num_faces(), 1);
+  EXPECT_EQ(mesh.vertices(2, 1), 1.5);
+}
+
 TEST(LoadMesh, ReadsVertexTextureCoordinatesOfPly) {
   const TemporaryFolder folder;
   const Mesh mesh = load_mesh(folder.write(
@@ -121,6 +130,8 @@ TEST(LoadMesh, NamesFileAndRemedyForBadInput) {
   has(problem("nan.off", "OFF\n3 1 0\n0 0 0\nnan 0 0\n0 1 0\n3 0 1 2\n"), "not finite");
   has(problem("short.off", "OFF\n3 2 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"), "cut short");
   has(problem("huge.off", "OFF\n999999999 1 0\n0 0 0\n"), "more elements");
+  has(problem("wide.off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n499599999 0 1 2\n"), "impossible size");
+  has(problem("binary.off", std::string("OFF BINARY\n\0\0", 13)), "binary OFF");
   has(problem("not.off", "hello\n"), "is not an OFF");
   has(problem("not.ply", "hello\n"), "is not a PLY");
   has(problem("not.stl", "hello\n"), "is not an STL");

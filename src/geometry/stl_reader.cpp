@@ -1,16 +1,12 @@
-// OFF and STL through OpenMesh's readers, into an importer of our own: OpenMesh's mesh refuses
-// complex edges and would lose those faces. Its readers trust what a file says of itself, so counts
-// and characters are checked too.
+// STL through OpenMesh's reader, which joins the triangles' corners, into an importer of our own:
+// OpenMesh's mesh refuses complex edges and would lose those faces.
 #include <OpenMesh/Core/IO/IOManager.hh>
 #include <OpenMesh/Core/IO/importer/BaseImporter.hh>
-#include <OpenMesh/Core/IO/reader/OFFReader.hh>
 #include <OpenMesh/Core/IO/reader/STLReader.hh>
 #include <OpenMesh/Core/System/omstream.hh>
 
 #include <cstring>
 #include <mutex>
-#include <sstream>
-#include <string_view>
 
 #include "freetalk/core/error.h"
 #include "mesh_file.h"
@@ -96,100 +92,24 @@ class RawImporter final : public om::IO::BaseImporter {
   RawMesh& mesh_;
 };
 
-/// What a file says it holds; -1 where it does not.
-struct Declared {
-  int64_t vertices = -1;
-  int64_t faces = -1;
-  std::string_view text;  // the part that must be numbers; empty for binary files
-};
-
-Declared declared_off(const std::string& bytes, const std::string& file) {
-  const size_t line_end = std::min(bytes.find('\n'), bytes.size());
-  const std::string first = bytes.substr(0, line_end);
-  const size_t keyword = first.find("OFF");
-  FREETALK_RUNTIME_CHECK(keyword != std::string::npos, "mesh file ", file,
-                         " is not an OFF file (it does not start with OFF); check it or export it "
-                         "again");
-  Declared declared;
-  if (first.find("BINARY") != std::string::npos) return declared;
-  declared.text = std::string_view(bytes).substr(keyword + 3);
-  std::string counts;
-  for (size_t at = keyword + 3; at < bytes.size() && counts.size() < 64; ++at) {
-    if (bytes[at] == '#') at = std::min(bytes.find('\n', at), bytes.size() - 1);
-    counts.push_back(bytes[at]);
-  }
-  std::istringstream(counts) >> declared.vertices >> declared.faces;
-  const auto size = static_cast<int64_t>(bytes.size());
-  FREETALK_RUNTIME_CHECK(declared.vertices >= 0 && declared.faces >= 0 &&
-                             declared.vertices <= size && declared.faces <= size,
-                         "mesh file ", file,
-                         " promises more elements than it can hold; export it again");
-  return declared;
-}
-
-Declared declared_stl(const std::string& bytes, const std::string& file) {
-  Declared declared;
+/// The number of triangles a binary file says it holds, -1 for a text file.
+int64_t declared_triangles(const std::string& bytes, const std::string& file) {
   constexpr size_t kHeader = 84, kTriangle = 50;
   const bool text = bytes.compare(0, 5, "solid") == 0 && bytes.find("facet") != std::string::npos;
-  if (text) return declared;
+  if (text) return -1;
   uint32_t count = 0;
   if (bytes.size() >= kHeader) std::memcpy(&count, bytes.data() + 80, sizeof(count));
   FREETALK_RUNTIME_CHECK(bytes.size() >= kHeader && count <= (bytes.size() - kHeader) / kTriangle,
                          "mesh file ", file,
                          " is not an STL file or is cut short; export it again");
-  declared.faces = count;
-  return declared;
-}
-
-/// Number streams stop at the first character that is no number and would fill the rest with
-/// repetitions.
-/// @returns how many numbers there are.
-int64_t count_numbers(std::string_view text, const std::string& file) {
-  int64_t numbers = 0;
-  bool within = false;
-  for (size_t i = 0; i < text.size(); ++i) {
-    const char c = text[i];
-    if (c == '#') {
-      i = std::min(text.find('\n', i), text.size());
-      within = false;
-      continue;
-    }
-    const bool blank = c == ' ' || c == '\t' || c == '\r' || c == '\n';
-    const bool digit =
-        (c >= '0' && c <= '9') || c == '+' || c == '-' || c == '.' || c == 'e' || c == 'E';
-    if (blank || digit) {
-      numbers += digit && !within ? 1 : 0;
-      within = digit;
-      continue;
-    }
-    const std::string_view word = text.substr(i, 3);
-    const bool not_finite = word == "nan" || word == "NaN" || word == "NAN" || word == "inf" ||
-                            word == "Inf" || word == "INF";
-    FREETALK_RUNTIME_CHECK(!not_finite, "mesh file ", file,
-                           " has vertices that are not finite numbers; repair it in a mesh editor");
-    FREETALK_RUNTIME_CHECK(false, "mesh file ", file,
-                           " has text where numbers are expected; export it again");
-  }
-  return numbers;
-}
-
-/// How many numbers the text of a mesh must hold at least: three counts, the points, the faces.
-int64_t numbers_needed(const RawMesh& mesh) {
-  int64_t needed = 3 + 3 * static_cast<int64_t>(mesh.vertices.size());
-  for (const std::vector<int>& polygon : mesh.polygons) {
-    needed += 1 + static_cast<int64_t>(polygon.size());
-  }
-  return needed;
+  return count;
 }
 
 }  // namespace
 
-RawMesh read_openmesh(const std::filesystem::path& path, const std::string& extension,
-                      const std::string& bytes) {
+RawMesh read_stl(const std::filesystem::path& path, const std::string& bytes) {
   const std::string file = path.string();
-  const Declared declared =
-      extension == "off" ? declared_off(bytes, file) : declared_stl(bytes, file);
-  const int64_t numbers = count_numbers(declared.text, file);
+  const int64_t declared = declared_triangles(bytes, file);
   RawMesh mesh;
   RawImporter importer(mesh);
   bool read = false;
@@ -198,25 +118,13 @@ RawMesh read_openmesh(const std::filesystem::path& path, const std::string& exte
     const std::lock_guard<std::mutex> lock(mutex);
     ::omerr().disable();
     ::omlog().disable();
-    om::IO::OFFReader();  // Named so that the linker keeps the readers, which register themselves.
-    om::IO::STLReader();
-    om::IO::Options options = om::IO::Options::VertexTexCoord;
-    std::istringstream stream(bytes, std::ios::binary);
-    read = extension == "stl"
-               ? om::IO::IOManager().read(file, importer, options)
-               : om::IO::IOManager().read(stream, "." + extension, importer, options);
+    om::IO::STLReader();  // Named so that the linker keeps the reader, which registers itself.
+    om::IO::Options options;
+    read = om::IO::IOManager().read(file, importer, options);
   }
-  const auto matches = [](int64_t count, size_t found) {
-    return count < 0 || count == static_cast<int64_t>(found);
-  };
-  FREETALK_RUNTIME_CHECK(read && matches(declared.vertices, mesh.vertices.size()) &&
-                             matches(declared.faces, mesh.polygons.size()) &&
-                             (declared.text.empty() || numbers_needed(mesh) <= numbers),
-                         "mesh file ", file, " is damaged or cut short; export it again");
-  if (!mesh.texcoords.empty()) {
-    mesh.texcoords.resize(mesh.vertices.size(), Eigen::Vector2d::Zero());
-    mesh.polygon_texcoords = mesh.polygons;
-  }
+  FREETALK_RUNTIME_CHECK(
+      read && (declared < 0 || declared == static_cast<int64_t>(mesh.polygons.size())),
+      "mesh file ", file, " is damaged or cut short; export it again");
   return mesh;
 }
 
