@@ -192,9 +192,8 @@ animation::Animation Talker::animate(const audio::Audio& audio, const geometry::
   stages.begin("align");
   found.alignment = align(mesh, {options.unit, options.up, options.forward});
   if (!found.alignment.face_like) {
-    found.notices.push_back(core::join("the mesh doesn't look like a face (",
-                                       found.alignment.summary,
-                                       "): give --unit, --up and --forward, or another mesh"));
+    found.notices.push_back(
+        core::join(found.alignment.summary, ": give unit, up and forward if the guess is wrong"));
   }
   const auto& pose = found.alignment.to_canonical;
   const animation::Parts parts(pose.apply(mesh.vertices), mesh.faces, models_.face.landmarks68);
