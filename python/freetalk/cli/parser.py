@@ -181,7 +181,9 @@ def _add_train(commands: Any) -> None:
     ):
         parser = _command(kinds, kind, "train:run", f"train {what}")
         parser.set_defaults(kind=kind)
-        parser.add_argument("--config", required=True, metavar="YAML", help="see configs/")
+        parser.add_argument(
+            "--config", required=True, metavar="YAML", help="a file, or a name in configs/"
+        )
         parser.add_argument("--data", required=True, metavar="DIR", help="the corpus")
         parser.add_argument("--out", required=True, metavar="DIR", help="weights and checkpoints")
         parser.add_argument(

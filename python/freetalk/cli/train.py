@@ -10,7 +10,8 @@ from freetalk.cli.outputs import check_readable, check_writable
 
 def run(arguments: argparse.Namespace) -> None:
     """Trains a model; continues when the output folder holds an unfinished run."""
-    check_readable(arguments.config, "a configuration (YAML)")
+    if Path(arguments.config).suffix:  # otherwise the name of a shipped one
+        check_readable(arguments.config, "a configuration (YAML)")
     if not Path(arguments.data).is_dir():
         raise OSError(f"'{arguments.data}' is no folder: give a corpus ('freetalk corpus build')")
     for override in arguments.overrides:
