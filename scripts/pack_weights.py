@@ -33,13 +33,17 @@ def write_template(path: Path) -> None:
     tensors = {
         "points": torch.from_numpy(np.asarray(points, dtype=np.float32)),
         "normals": torch.from_numpy(np.asarray(normals, dtype=np.float32)),
-        "landmarks68": torch.from_numpy(np.asarray(model.neutral[model.landmarks68], dtype=np.float32)),
+        "landmarks68": torch.from_numpy(
+            np.asarray(model.neutral[model.landmarks68], dtype=np.float32)
+        ),
     }
     _native.core.save_safetensors(str(path), tensors, {"source": "ICT-FaceKit mean face, MIT"})
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     for name in ("speech", "ats", "stm"):
         parser.add_argument(f"--{name}", type=Path, required=True, help=f"exported {name} folder")
     parser.add_argument("--out", type=Path, required=True, help="folder to write")

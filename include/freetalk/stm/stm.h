@@ -1,12 +1,15 @@
-// STM, Sparse-To-Mesh [FreeTalk 3.2]: landmark displacements + a static mesh of any topology -> vertex displacements.
+// STM, Sparse-To-Mesh [FreeTalk 3.2]: landmark displacements + a static mesh of any topology ->
+// vertex displacements.
 //
 //   f_i = E_M(v_i, n_i)                       DiffusionNet, once a mesh
 //   l~_tj = phi([GCN(dL_t)_j | PE(j)])        [Eq. 12]
 //   c_ti = sum_j softmax_j(q_i . k_tj / sqrt(d_c)) v_tj   [Eq. 13-14, per head]
-//   dV_t = D([f_i, g_t, c_ti])                DiffusionNet, g_t = all landmark displacements of the frame
+//   dV_t = D([f_i, g_t, c_ti])                DiffusionNet, g_t = all landmark displacements of the
+//   frame
 //
-// Lengths: the mesh is in metres in the canonical frame; positions enter as v / length_scale and the operators are
-// those of the mesh divided by length_scale, displacements as d / displacement_scale.
+// Lengths: the mesh is in metres in the canonical frame; positions enter as v / length_scale and
+// the operators are those of the mesh divided by length_scale, displacements as d /
+// displacement_scale.
 #pragma once
 
 #include <torch/nn/module.h>
@@ -59,7 +62,8 @@ struct StmOptions {
 
 /// What depends on the mesh alone, computed once.
 struct MeshFeatures {
-  at::Tensor hidden;   // (V, decoder_width): W_f f_i + b, the mesh's part of the decoder's first layer
+  at::Tensor
+      hidden;  // (V, decoder_width): W_f f_i + b, the mesh's part of the decoder's first layer
   at::Tensor queries;  // (heads, V, d_head)
 };
 
@@ -90,16 +94,19 @@ class StmImpl : public torch::nn::Module {
   StmOptions options_;
   nn::DiffusionNet encoder_{nullptr}, decoder_{nullptr};
   nn::Gcn gcn_{nullptr};
-  torch::nn::Linear landmark_proj_{nullptr}, query_proj_{nullptr}, key_proj_{nullptr}, value_proj_{nullptr};
+  torch::nn::Linear landmark_proj_{nullptr}, query_proj_{nullptr}, key_proj_{nullptr},
+      value_proj_{nullptr};
   at::Tensor index_code_;  // (68, index_code_dim)
 };
 TORCH_MODULE(Stm);
 
-/// Decodes any number of frames in chunks without gradients: memory grows with the chunk, not with T.
+/// Decodes any number of frames in chunks without gradients: memory grows with the chunk, not with
+/// T.
 /// @param sink called with (first frame, (t, V, 3) displacements in metres) in order.
 /// @param memory_bytes working memory of a chunk.
-void decode_chunked(Stm& model, const MeshFeatures& mesh, const geometry::SurfaceOperators& operators,
-                    const at::Tensor& landmarks, const std::function<void(int64_t, const at::Tensor&)>& sink,
+void decode_chunked(Stm& model, const MeshFeatures& mesh,
+                    const geometry::SurfaceOperators& operators, const at::Tensor& landmarks,
+                    const std::function<void(int64_t, const at::Tensor&)>& sink,
                     int64_t memory_bytes = int64_t{128} << 20);
 
 }  // namespace freetalk::stm
