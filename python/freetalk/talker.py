@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from freetalk import _native
+from freetalk._pretrained import PRETRAINED, installed
 from freetalk.animation import Animation
 from freetalk.audio import Audio, load_audio
 from freetalk.geometry import Alignment, AlignOptions, Mesh, load_mesh
 
 TalkerOptions = _native.talker.TalkerOptions
 Report = _native.talker.Report
-
-PRETRAINED = Path(__file__).resolve().parent / "pretrained"
-"""Folder of the weights that ship with the package."""
 
 Progress = Callable[[float, float], None]
 
@@ -53,7 +51,7 @@ class Talker:
         if not folder.is_dir() and (PRETRAINED / folder / "talker.json").is_file():
             folder = PRETRAINED / folder
         if not folder.is_dir():
-            known = ", ".join(sorted(file.parent.name for file in PRETRAINED.glob("*/talker.json")))
+            known = ", ".join(file.name for file in installed())
             raise ValueError(
                 f"no weights '{name_or_dir}': neither a folder nor one of: {known or 'none shipped'}"
             )

@@ -8,23 +8,9 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
+from freetalk.data.dataset import EMOTIONS
+
 EXPRESSIONS = ["jawOpen", "mouthFunnel", "mouthSmile_L", "browInnerUp", "eyeBlink_L", "cheekPuff"]
-EMOTIONS = [
-    "neutral",
-    "afraid",
-    "ashamed",
-    "angry",
-    "disgust",
-    "happy",
-    "sad",
-    "drunk",
-    "ill",
-    "suspicious",
-    "pleased",
-    "upset",
-    "surprise",
-    "contempt",
-]
 FPS, RATE = 30, 16000
 
 

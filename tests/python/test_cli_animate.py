@@ -11,7 +11,8 @@ import pytest
 from test_talker import write_weights
 
 import freetalk as ft
-from freetalk.cli import main, weights
+from freetalk import _pretrained
+from freetalk.cli import main
 from freetalk.corpus import assets
 
 
@@ -160,7 +161,7 @@ def test_speech_encode_writes_one_row_a_frame(room: Path, tmp_path: Path) -> Non
 def test_models_are_listed(
     room: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(weights, "PRETRAINED", room)
+    monkeypatch.setattr(_pretrained, "PRETRAINED", room)
     for words in (["models"], ["models", "list"]):
         assert main(words) == 0
         printed = capsys.readouterr().out

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
 
 import freetalk as ft
+from freetalk._pretrained import PRETRAINED
 from freetalk.ats import GenerateOptions, generate, parse_emotion
 from freetalk.corpus import load_face_model, mean_face, speech_clip
 from freetalk.data import lip_opening
@@ -16,7 +15,7 @@ from freetalk.evaluate.speech_motion import correlation, log_energy
 from freetalk.speech import encode_speech
 from freetalk.talker import Talker
 
-OPEN_SMALL = Path(ft.__file__).parent / "pretrained" / "open-small"
+OPEN_SMALL = PRETRAINED / "open-small"
 
 
 @pytest.fixture(scope="module")

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-PRETRAINED = Path(__file__).resolve().parents[1] / "pretrained"
+from freetalk._pretrained import PRETRAINED, installed
 
-
-def installed() -> Iterator[Path]:
-    """Folders of the weights that ship with the package."""
-    if PRETRAINED.is_dir():
-        yield from sorted(file.parent for file in PRETRAINED.glob("*/talker.json"))
+__all__ = ["PRETRAINED", "find_weights", "installed", "motion_options"]
 
 
 def find_weights(name: str) -> Path:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from freetalk._pretrained import PRETRAINED
 from freetalk.ats import Ats, AtsOptions
 from freetalk.data import NUM_LANDMARKS, MotionSequence, OpenCorpus
 from freetalk.data.landmarks import INNER_LIP_PAIRS, LIPS, LOWER_INNER_LIP, UPPER_INNER_LIP
@@ -279,4 +280,4 @@ def _speech_encoder(options: AtsTaskOptions, out: Path) -> Path:
     trained = out / "speech"
     if (trained / "config.json").is_file():
         return trained
-    return Path(__file__).parents[1] / "pretrained" / "open-small" / "speech"
+    return PRETRAINED / "open-small" / "speech"
