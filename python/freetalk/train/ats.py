@@ -18,6 +18,7 @@ from freetalk.diffusion import Schedule, ScheduleOptions
 from freetalk.train.checkpoint import export_model
 from freetalk.train.config import AtsTaskOptions, TrainingConfig
 from freetalk.train.features import FeatureCache
+from freetalk.train.initial import initial_weights
 from freetalk.train.losses import motion_loss
 from freetalk.train.sampling import SequenceSampler, numpy_generator
 from freetalk.train.speech_targets import interpolate_frames
@@ -67,9 +68,7 @@ class AtsTask:
             )
         self.model_options = AtsOptions.from_dict(fields)
         self.model = Ats(self.model_options).to(device)
-        mean, spread = self._statistics()
-        self.model.set_motion_statistics(mean, spread)
-        self.mean, self.spread = mean.to(device), spread.to(device)
+        self.model.set_motion_statistics(*self._statistics())
         self.schedule = Schedule(
             ScheduleOptions(
                 kind=self.model_options.schedule,
@@ -79,6 +78,16 @@ class AtsTask:
             )
         )
         self.point_weights = self._landmark_weights()
+
+    @property
+    def mean(self) -> Tensor:
+        """(204,) mean of the motion, m; the model's, which may come with its weights."""
+        return self.model.get_buffer("motion_mean")
+
+    @property
+    def spread(self) -> Tensor:
+        """(204,) standard deviation of the motion, m, likewise."""
+        return self.model.get_buffer("motion_scale")
 
     def batch(self, generator: torch.Generator) -> dict[str, Any]:
         """Windows of up to ``max_frames`` frames, padded."""
@@ -280,4 +289,8 @@ def _speech_encoder(options: AtsTaskOptions, out: Path) -> Path:
     trained = out / "speech"
     if (trained / "config.json").is_file():
         return trained
+    if options.init:
+        beside = initial_weights(options.init, "ats").parent / "speech"
+        if (beside / "config.json").is_file():
+            return beside
     return PRETRAINED / "open-small" / "speech"

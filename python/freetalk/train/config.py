@@ -77,8 +77,11 @@ class AtsTaskOptions:
     """Data and losses of the audio-to-landmarks stage.
 
     Attributes:
-        speech_encoder: folder of the speech encoder; empty takes ``OUT/speech``, else the shipped
-            one.
+        init: weights to start from: their folder, a training's output folder, or the name of
+            installed ones (``open-small``), whose motion statistics stay; empty starts from random
+            ones.
+        speech_encoder: folder of the speech encoder; empty takes ``OUT/speech``, else the one beside
+            the weights of `init`, else the shipped one.
         feature_cache: folder of the computed speech features; empty takes ``OUT/cache``.
         feature_augmentations: extra copies of the features from changed audio (noise, room,
             band limits, speed).
@@ -98,6 +101,7 @@ class AtsTaskOptions:
         validation_windows: windows of the validation split that are scored.
     """
 
+    init: str = ""
     speech_encoder: str = ""
     feature_cache: str = ""
     feature_augmentations: int = 0
@@ -128,6 +132,8 @@ class StmTaskOptions:
     """Data and losses of the landmarks-to-mesh stage.
 
     Attributes:
+        init: weights to start from: their folder, a training's output folder, or the name of
+            installed ones (``open-small``); empty starts from random ones.
         operator_cache: folder of the surface operators; empty takes the user's cache.
         frames: consecutive frames of a window.
         num_meshes: (identity, topology) pairs of the train split that are drawn, 0 for all.
@@ -149,6 +155,7 @@ class StmTaskOptions:
         validation_windows: windows on unseen meshes that are scored.
     """
 
+    init: str = ""
     operator_cache: str = ""
     frames: int = 12
     num_meshes: int = 0
@@ -177,6 +184,9 @@ class SpeechTaskOptions:
     """Data and losses of the speech encoder.
 
     Attributes:
+        init: weights to start from: their folder, a training's output folder, or the name of
+            installed ones (``open-small``); the teachers' heads start from random ones. Empty
+            starts all from random ones.
         crop_s: length of the crops.
         source_weights: share of each source in the batches. Empty takes all sources in
             proportion to their length.
@@ -190,6 +200,7 @@ class SpeechTaskOptions:
         validation_crops: crops of the validation split that are scored.
     """
 
+    init: str = ""
     crop_s: float = 5.0
     source_weights: dict[str, float] = field(default_factory=dict)
     augment: float = 0.7

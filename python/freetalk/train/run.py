@@ -8,6 +8,7 @@ import torch
 
 from freetalk.data import OpenCorpus
 from freetalk.train.config import LoopOptions, TrainingConfig, load_config
+from freetalk.train.initial import start_from
 from freetalk.train.loop import Task, Trainer, TrainingResult, write_run_record
 
 
@@ -49,7 +50,14 @@ def run(
 
 
 def make_task(config: TrainingConfig, corpus: OpenCorpus, out: Path, device: torch.device) -> Task:
-    """The task of a configuration's kind, its model on `device`."""
+    """The task of a configuration's kind, its model on `device` with its initial weights."""
+    task = _new_task(config, corpus, out, device)
+    if config.task.init:
+        start_from(task.model, config.task.init, config.kind)
+    return task
+
+
+def _new_task(config: TrainingConfig, corpus: OpenCorpus, out: Path, device: torch.device) -> Task:
     # Each training imports only the rooms it needs.
     if config.kind == "ats":
         from freetalk.train.ats import AtsTask
