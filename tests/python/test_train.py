@@ -19,7 +19,7 @@ from freetalk.speech import SpeechEncoder
 from freetalk.stm import Stm
 from freetalk.train import load_config, motion_loss, run
 from freetalk.train.augment import augment_wave, change_speed
-from freetalk.train.loop import step_seed
+from freetalk.train.draws import Draws, step_seed
 from freetalk.train.sampling import SequenceSampler
 from freetalk.train.speech_targets import SpeechTargets, log_mel
 from freetalk.train.stm_meshes import Placement, random_placement
@@ -46,10 +46,10 @@ def speech(corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out / "speech"
 
 
-def weights(directory: Path) -> dict[str, torch.Tensor]:
+def weights(directory: Path, group: str = "model") -> dict[str, torch.Tensor]:
     from freetalk import _native
 
-    return dict(_native.core.load_safetensors(str(directory / "model.safetensors")))
+    return dict(_native.core.load_safetensors(str(directory / f"{group}.safetensors")))
 
 
 # Eq. 15-16
@@ -256,7 +256,7 @@ def test_a_stopped_run_ends_with_the_same_weights(
     run(kind, config, [*common, "loop.max_steps=2"], corpus, tmp_path / "parts")
     run(kind, config, [*common, "loop.max_steps=5"], corpus, tmp_path / "parts")
     whole, parts = (
-        weights(next((tmp_path / name / "checkpoints" / kind).glob("step_0000005")))
+        weights(tmp_path / name / "checkpoints" / kind / "step_0000005", "training")
         for name in ("whole", "parts")
     )
     for name, value in whole.items():
@@ -267,9 +267,9 @@ def test_a_killed_process_goes_on_where_its_checkpoint_was(corpus: Path, tmp_pat
     script = (
         "import os, sys; from freetalk.train import run, loop\n"
         "step = loop.Trainer._train_step\n"
-        "def killed(self):\n"
+        "def killed(self, draws):\n"
         "    if self.step == 4: os.kill(os.getpid(), 9)\n"
-        "    return step(self)\n"
+        "    return step(self, draws)\n"
         "if sys.argv[1] == 'kill': loop.Trainer._train_step = killed\n"
         f"run('stm', {str(CONFIGS / 'stm_smoke.yaml')!r}, {QUICK!r} + ['loop.max_steps=6',"
         f"'loop.checkpoint_every=3', 'loop.validate_every=0'], {str(corpus)!r}, sys.argv[2])"
@@ -285,7 +285,8 @@ def test_a_killed_process_goes_on_where_its_checkpoint_was(corpus: Path, tmp_pat
         )
         assert done.returncode == code, done.stderr
     first, second = (
-        weights(tmp_path / out / "checkpoints" / "stm" / "step_0000006") for out in ("a", "b")
+        weights(tmp_path / out / "checkpoints" / "stm" / "step_0000006", "training")
+        for out in ("a", "b")
     )
     assert all(torch.equal(value, second[name]) for name, value in first.items())
 
@@ -302,14 +303,14 @@ def test_a_loss_that_is_not_finite_stops_with_the_batch_saved(
 ) -> None:
     from freetalk.train.stm import StmTask
 
-    clean = StmTask.batch
+    clean = StmTask.collate
 
-    def poisoned(self: StmTask, generator: torch.Generator) -> dict[str, object]:
-        batch = clean(self, generator)
+    def poisoned(self: StmTask, items: list[object]) -> dict[str, object]:
+        batch = clean(self, items)
         batch["items"][0]["landmarks"][0, 0, 0] = float("nan")
         return batch
 
-    monkeypatch.setattr(StmTask, "batch", poisoned)
+    monkeypatch.setattr(StmTask, "collate", poisoned)
     with pytest.raises(RuntimeError, match=r"step 0 of stm is not finite.*failed_batch_stm\.pt"):
         run("stm", CONFIGS / "stm_smoke.yaml", QUICK, corpus, tmp_path)
     saved = torch.load(tmp_path / "failed_batch_stm.pt", weights_only=True)
@@ -328,10 +329,10 @@ def test_an_interrupted_run_saves_and_says_how_to_go_on(
 
     step = loop.Trainer._train_step
 
-    def interrupted(self: loop.Trainer) -> dict[str, float]:
+    def interrupted(self: loop.Trainer, draws: Draws) -> dict[str, float]:
         if self.step == 2:
             signal.raise_signal(signal.SIGINT)
-        return step(self)
+        return step(self, draws)
 
     monkeypatch.setattr(loop.Trainer, "_train_step", interrupted)
     options = [*QUICK, "loop.validate_every=0"]

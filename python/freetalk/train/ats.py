@@ -19,7 +19,7 @@ from freetalk.train.checkpoint import export_model
 from freetalk.train.config import AtsTaskOptions, TrainingConfig
 from freetalk.train.features import FeatureCache
 from freetalk.train.initial import initial_weights
-from freetalk.train.losses import motion_loss
+from freetalk.train.losses import motion_counts, motion_loss
 from freetalk.train.sampling import SequenceSampler, numpy_generator
 from freetalk.train.speech_targets import interpolate_frames
 
@@ -89,26 +89,30 @@ class AtsTask:
         """(204,) standard deviation of the motion, m, likewise."""
         return self.model.get_buffer("motion_scale")
 
-    def batch(self, generator: torch.Generator) -> dict[str, Any]:
-        """Windows of up to ``max_frames`` frames, padded."""
-        rng = numpy_generator(generator)
-        items = [self._window(self.sampler.draw(rng), rng) for _ in range(self.batch_size)]
+    def item(self, rng: np.random.Generator) -> dict[str, Any]:
+        """A window of up to ``max_frames`` frames, its noise and its diffusion step."""
+        window = self._window(self.sampler.draw(rng), rng)
+        return {
+            **window,
+            "drop_audio": rng.random() < self.options.audio_dropout,
+            "drop_affect": rng.random() < self.options.affect_dropout,
+            "step": int(rng.integers(self.model_options.num_train_steps)),
+            "noise": rng.standard_normal(window["motion"].shape, dtype=np.float32),
+        }
+
+    def collate(self, items: list[dict[str, Any]]) -> dict[str, Any]:
+        """Windows padded to the longest; padding has no noise."""
         batch = self._stack(items)
-        for name, share in (
-            ("drop_audio", self.options.audio_dropout),
-            ("drop_affect", self.options.affect_dropout),
-        ):
-            dropped = torch.from_numpy(rng.random(len(items)) < share)
-            batch[name] = dropped.to(self.device)
-        return batch
+        noise = torch.zeros_like(batch["motion"])
+        for row, item in enumerate(items):
+            noise[row, : len(item["noise"])] = torch.from_numpy(item["noise"])
+        for name in ("drop_audio", "drop_affect", "step"):
+            batch[name] = torch.tensor([item[name] for item in items])
+        return {**batch, "noise": noise, "counts": motion_counts(batch["valid"])}
 
     def loss(self, batch: dict[str, Any], generator: torch.Generator) -> dict[str, Tensor]:
         """Eq. 15 at a uniformly drawn diffusion step of each window."""
-        motion = batch["motion"]
-        steps = self.model_options.num_train_steps
-        step = torch.randint(0, steps, (len(motion),), generator=generator).to(self.device)
-        noise = torch.randn(motion.shape, generator=generator).to(self.device)
-        return self._terms(batch, step, noise)
+        return self._terms(batch, batch["step"], batch["noise"])
 
     def validate(self) -> dict[str, float]:
         """Loss at fixed steps and noise, and the opening's correlation when starting from noise."""
@@ -122,7 +126,8 @@ class AtsTask:
         losses: list[float] = []
         gaps: list[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]] = []
         for first in range(0, count, self.batch_size):
-            batch = self._stack(items[first : first + self.batch_size])
+            stacked = self._stack(items[first : first + self.batch_size])
+            batch = {name: value.to(self.device) for name, value in stacked.items()}
             noise = torch.randn(batch["motion"].shape, generator=generator).to(self.device)
             for share in _VALIDATION_TIMESTEPS:
                 index = round(share * (self.model_options.num_train_steps - 1))
@@ -134,7 +139,7 @@ class AtsTask:
             gaps.append(
                 (
                     self._gap(guess)[valid].cpu().numpy(),
-                    self._gap(batch["motion"])[valid].cpu().numpy(),
+                    self._gap(self._normalised(batch))[valid].cpu().numpy(),
                 )
             )
         guessed, true = (np.concatenate(side) for side in zip(*gaps, strict=True))
@@ -156,7 +161,7 @@ class AtsTask:
 
     def _terms(self, batch: dict[str, Any], step: Tensor, noise: Tensor) -> dict[str, Tensor]:
         o = self.options
-        target = batch["motion"]
+        target = self._normalised(batch)
         guess = self._denoise(batch, step, noise)
         if o.loss_units == "metres":
             guess, target = guess * self.spread, target * self.spread  # the mean cancels
@@ -169,17 +174,20 @@ class AtsTask:
             o.lambda_velocity,
             o.lambda_acceleration,
             self.point_weights,
+            batch.get("counts"),
         )
         if o.opening_weight > 0:
             upper, lower = INNER_LIP_PAIRS
             gap = guess[..., upper, :] - guess[..., lower, :]
             wanted = target[..., upper, :] - target[..., lower, :]
-            terms["opening"] = motion_loss(gap, wanted, batch["valid"])["loss"]
+            terms["opening"] = motion_loss(gap, wanted, batch["valid"], counts=batch.get("counts"))[
+                "loss"
+            ]
             terms["loss"] = terms["loss"] + o.opening_weight * terms["opening"]
         return terms
 
     def _denoise(self, batch: dict[str, Any], step: Tensor, noise: Tensor) -> Tensor:
-        noisy = self.schedule.q_sample(batch["motion"], step, noise=noise)
+        noisy = self.schedule.q_sample(self._normalised(batch), step, noise=noise)
         guess: Tensor = self.model(
             noisy,
             step,
@@ -228,14 +236,18 @@ class AtsTask:
             valid[row, :frames] = True
             emotion[row, item["emotion"]] = 1.0
         intensity = torch.tensor([item["intensity"] for item in items], dtype=torch.float32)
-        motion = (motion.to(self.device) - self.mean) / self.spread
         return {
-            "audio": audio.to(self.device),
-            "motion": motion * valid.to(self.device)[..., None],
-            "valid": valid.to(self.device),
-            "emotion": emotion.to(self.device),
-            "intensity": intensity.to(self.device),
+            "audio": audio,
+            "motion": motion,
+            "valid": valid,
+            "emotion": emotion,
+            "intensity": intensity,
         }
+
+    def _normalised(self, batch: dict[str, Any]) -> Tensor:
+        """Motion in units of its spread, 0 on padding; (B, T, 204)."""
+        normalised: Tensor = (batch["motion"] - self.mean) / self.spread
+        return normalised * batch["valid"][..., None]
 
     def _statistics(self) -> tuple[Tensor, Tensor]:
         """Mean and spread of each coordinate over what the sampler draws."""

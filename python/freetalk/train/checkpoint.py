@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from torch import Tensor
 from freetalk import _native
 
 _POINTER = "last.json"
+_VERSION = 2
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -30,34 +32,45 @@ def save_checkpoint(
     tensors: dict[str, dict[str, Tensor]],
     optimizer: dict[str, Any],
     state: dict[str, Any],
+    export: Callable[[Path], None],
+    keep: int = 1,
 ) -> None:
-    """Saves a step and forgets the one before; stopping at any moment leaves one of them whole.
+    """Saves a step and forgets older ones; stopping at any moment leaves a whole one.
+
+    A checkpoint is a folder: what `export` writes (``config.json`` with the options and
+    ``model.safetensors``, which ``from_pretrained`` and C++ load), each group of `tensors`, and
+    ``optimizer.pt`` and ``state.json`` to go on from.
 
     Args:
         directory: folder of the checkpoints.
         step: number of finished steps.
         tensors: groups of tensors, each written to its own safetensors file.
-        optimizer: an optimiser's ``state_dict()``.
+        optimizer: ``state_dict()`` of the optimiser and of what belongs to it.
         state: JSON values.
+        export: writes the weights for inference into a folder.
+        keep: checkpoints that stay, the newest.
     """
     directory.mkdir(parents=True, exist_ok=True)
-    name = f"step_{step:07d}"
+    name = _unused_name(directory, step)
     temporary = directory / f".{name}.{os.getpid()}"
     shutil.rmtree(temporary, ignore_errors=True)
     temporary.mkdir()
     for group, items in tensors.items():
         contiguous = {key: value.detach().cpu().contiguous() for key, value in items.items()}
         _native.core.save_safetensors(str(temporary / f"{group}.safetensors"), contiguous)
+    export(temporary)
     torch.save(optimizer, temporary / "optimizer.pt")
-    write_json(temporary / "state.json", {"step": step, **state})
-    final = directory / name
-    if final.exists():
-        shutil.rmtree(final)
-    temporary.replace(final)
+    groups = sorted(tensors)
+    write_json(
+        temporary / "state.json", {"version": _VERSION, "step": step, "groups": groups, **state}
+    )
+    _flush(temporary)
+    temporary.replace(directory / name)
     write_json(directory / _POINTER, {"checkpoint": name})
-    for old in directory.glob("step_*"):
-        if old.name != name:
-            shutil.rmtree(old, ignore_errors=True)
+    _flush(directory)
+    whole = sorted(directory.glob("step_*"), key=lambda path: (path.stat().st_mtime_ns, path.name))
+    for old in [path for path in whole if path.name != name][: max(0, len(whole) - keep)]:
+        shutil.rmtree(old, ignore_errors=True)
     for left in directory.glob(".step_*"):
         shutil.rmtree(left, ignore_errors=True)
 
@@ -78,13 +91,43 @@ def find_checkpoint(directory: Path) -> Path | None:
 def load_checkpoint(
     path: Path,
 ) -> tuple[dict[str, dict[str, Tensor]], dict[str, Any], dict[str, Any]]:
-    """Reads back what :func:`save_checkpoint` wrote: tensors, optimiser state, JSON values."""
+    """Reads back what :func:`save_checkpoint` wrote: tensors, optimiser state, JSON values.
+
+    Raises:
+        ValueError: another version of freetalk wrote it.
+    """
+    state: dict[str, Any] = json.loads((path / "state.json").read_text())
+    if state.get("version") != _VERSION:
+        raise ValueError(
+            f"{path} is of another version of freetalk's training; finish it with that one, or start "
+            f"anew from its weights (task.init) with another --out"
+        )
     tensors = {
-        file.stem: _native.core.load_safetensors(str(file)) for file in path.glob("*.safetensors")
+        group: _native.core.load_safetensors(str(path / f"{group}.safetensors"))
+        for group in state["groups"]
     }
     optimizer = torch.load(path / "optimizer.pt", map_location="cpu", weights_only=True)
-    state: dict[str, Any] = json.loads((path / "state.json").read_text())
     return tensors, optimizer, state
+
+
+def _unused_name(directory: Path, step: int) -> str:
+    """A step that is saved again goes beside the folder that the pointer still names."""
+    name, again = f"step_{step:07d}", 1
+    while (directory / name).exists():
+        again += 1
+        name = f"step_{step:07d}_{again}"
+    return name
+
+
+def _flush(directory: Path) -> None:
+    """Lets a folder's files reach the disk before anything points at them."""
+    for path in [*directory.iterdir(), directory]:
+        if path.is_file() or path == directory:
+            descriptor = os.open(path, os.O_RDONLY)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
 
 
 def export_model(

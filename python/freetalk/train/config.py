@@ -20,28 +20,36 @@ class LoopOptions:
         seed: every random draw is a function of this and the step number.
         threads: CPU threads; 0 keeps torch's own choice.
         device: ``auto`` (CUDA where present), ``cpu`` or ``cuda``.
-        batch_size: items a step (frames windows, crops or meshes).
+        batch_size: items a step (windows, crops or faces), over all processes and accumulated
+            passes; a multiple of their number.
+        accumulation_steps: forward passes that a step's items are shared out to, for what does not
+            fit into memory at once.
         max_steps: optimiser steps.
         max_minutes: training time after which it ends, 0 for no limit; the learning rate then
             follows the clock where that is ahead of the steps.
         learning_rate: AdamW's, at its peak.
-        weight_decay: of matrices; vectors and tables of positions are spared.
+        weight_decay: of matrices and kernels; biases, norms and embeddings are spared.
         lr_schedule: ``cosine`` to ``lr_final`` times the peak, or ``constant``.
         lr_final: end of the cosine relative to the peak.
         warmup_steps: linear rise of the learning rate.
         grad_clip: largest gradient norm, 0 disables.
         ema_decay: of the weight average that is validated and exported, 0 disables.
         bf16: run the networks under bfloat16 autocast.
+        fp16: run them under float16 autocast with scaled gradients, for GPUs without bfloat16.
         log_every: steps between TensorBoard points.
         validate_every: steps between validations (and exports), 0 only at the end.
         checkpoint_every: steps between checkpoints, 0 only at validations and at the end.
         keep: export the ``best`` validated weights or the ``last``.
+        keep_checkpoints: newest checkpoints that stay.
+        render_every: steps between rendered samples (a video in ``OUT/samples`` and a picture in
+            TensorBoard), 0 for none.
     """
 
     seed: int = 0
     threads: int = 0
     device: str = "auto"
     batch_size: int = 16
+    accumulation_steps: int = 1
     max_steps: int = 100_000
     max_minutes: float = 0.0
     learning_rate: float = 1e-4
@@ -52,17 +60,25 @@ class LoopOptions:
     grad_clip: float = 1.0
     ema_decay: float = 0.0
     bf16: bool = False
+    fp16: bool = False
     log_every: int = 10
     validate_every: int = 1000
     checkpoint_every: int = 0
     keep: str = "best"
+    keep_checkpoints: int = 1
+    render_every: int = 0
 
     def check(self) -> None:
         """Raises ValueError where a value is out of range."""
-        _require(self.batch_size > 0, "loop.batch_size must be positive", self.batch_size)
+        _require(self.seed >= 0, "loop.seed must not be negative", self.seed)
+        for name in ("batch_size", "accumulation_steps", "keep_checkpoints"):
+            _require(getattr(self, name) > 0, f"loop.{name} must be positive", getattr(self, name))
         _require(self.max_steps > 0, "loop.max_steps must be positive", self.max_steps)
         _require(self.learning_rate > 0, "loop.learning_rate must be positive", self.learning_rate)
         _require(0 <= self.ema_decay < 1, "loop.ema_decay must be in [0, 1)", self.ema_decay)
+        _require(
+            not (self.bf16 and self.fp16), "loop.bf16 and loop.fp16 exclude each other", "both"
+        )
         choices = {
             "loop.lr_schedule": (self.lr_schedule, ("cosine", "constant")),
             "loop.device": (self.device, ("auto", "cpu", "cuda")),

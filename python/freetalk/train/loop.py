@@ -1,4 +1,4 @@
-"""The one training loop: steps, weight average, validation, checkpoints, progress.
+"""The one training loop: steps, weight average, validation, checkpoints, samples, progress.
 
 Every random draw of step n is a function of (seed, n), so a run that was killed and continued walks the
 same path as one that was not.
@@ -7,11 +7,12 @@ same path as one that was not.
 from __future__ import annotations
 
 import math
+import os
 import signal
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -19,7 +20,6 @@ from typing import Any, Protocol
 
 import torch
 from torch import Tensor, nn
-from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from freetalk.train.checkpoint import (
@@ -30,19 +30,22 @@ from freetalk.train.checkpoint import (
     write_json,
 )
 from freetalk.train.config import LoopOptions, TrainingConfig
+from freetalk.train.draws import Batch, Draws, step_seed
+from freetalk.train.engine import Engine
+from freetalk.train.progress import Progress
+from freetalk.train.samples import ShowsSamples, save_sample
+from freetalk.train.weights import Average, parameter_groups
 
-Batch = dict[str, Any]
+#: An fp16 scale below which gradients overflow whatever it is.
+_SMALLEST_SCALE = 2.0**-14
 
 
 class Task(Protocol):
-    """What differs between the trainings."""
+    """What differs between the trainings; it draws items or batches, see ``freetalk.train.draws``."""
 
     @property
     def model(self) -> nn.Module:
         """What is trained."""
-
-    def batch(self, generator: torch.Generator) -> Batch:
-        """Draws the inputs of one step."""
 
     def loss(self, batch: Batch, generator: torch.Generator) -> dict[str, Tensor]:
         """Scalar terms; ``loss`` is minimised."""
@@ -64,37 +67,6 @@ class TrainingResult:
     directory: Path
 
 
-class Average:
-    """Exponential moving average of weights; the decay rises from 0 so that early steps are forgotten."""
-
-    def __init__(self, model: nn.Module, decay: float) -> None:
-        self.decay = decay
-        self.weights = {name: p.detach().clone() for name, p in model.named_parameters()}
-
-    @torch.no_grad()
-    def update(self, model: nn.Module, step: int) -> None:
-        """Moves the average towards the weights after `step` steps."""
-        decay = min(self.decay, (1 + step) / (10 + step))
-        for name, parameter in model.named_parameters():
-            self.weights[name].lerp_(parameter, 1 - decay)
-
-    @contextmanager
-    @torch.no_grad()
-    def applied(self, model: nn.Module) -> Iterator[None]:
-        """Puts the average into the model for the duration."""
-        own = {name: p.detach().clone() for name, p in model.named_parameters()}
-        self._copy(model, self.weights)
-        try:
-            yield
-        finally:
-            self._copy(model, own)
-
-    @torch.no_grad()
-    def _copy(self, model: nn.Module, weights: dict[str, Tensor]) -> None:
-        for name, parameter in model.named_parameters():
-            parameter.copy_(weights[name])
-
-
 class Trainer:
     """Runs a task under a configuration and writes everything below `out`.
 
@@ -103,104 +75,144 @@ class Trainer:
         config: its configuration.
         out: folder to write to.
         command: what was typed, noted with the weights.
+        engine: this process among those that train together.
     """
 
-    def __init__(self, task: Task, config: TrainingConfig, out: Path, command: str = "") -> None:
+    def __init__(
+        self,
+        task: Task,
+        config: TrainingConfig,
+        out: Path,
+        command: str = "",
+        engine: Engine | None = None,
+    ) -> None:
         self.task = task
         self.config = config
         self.options: LoopOptions = config.loop
         self.out = out
         self.command = command
+        self.engine = engine or Engine(config.loop)
         self.checkpoints = out / "checkpoints" / config.kind
-        decay_groups = parameter_groups(task.model, self.options.weight_decay)
-        self.optimizer = torch.optim.AdamW(decay_groups, lr=self.options.learning_rate)
+        self.module = self.engine.prepare(_Loss(task))
+        self.optimizer = torch.optim.AdamW(
+            parameter_groups(task.model, self.options.weight_decay),
+            lr=self.options.learning_rate,
+            fused=True,
+        )
         self.average = Average(task.model, self.options.ema_decay)
         self.step = 0
         self.elapsed_s = 0.0
         self.best = math.inf
         self.scores: dict[str, float] = {}
-        self._stop = False
+        self._asked_to_stop = False  # this process
+        self._stop = False  # all of them
+        self._saved_step = -1
 
     def run(self) -> TrainingResult:
         """Trains until the steps or the minutes are used up, or until told to stop."""
-        self._resume()
-        self.out.mkdir(parents=True, exist_ok=True)
-        writer = SummaryWriter(
-            str(self.out / "tensorboard" / self.config.kind), purge_step=self.step
-        )
+        if self._resume() and self._finished():
+            return self._result("finished")
         self.task.model.train()
-        with _stop_requests(self), writer:
-            bar = tqdm(
-                total=self.options.max_steps,
-                initial=self.step,
-                desc=self.config.kind,
-                unit="step",
-                dynamic_ncols=True,
-                mininterval=1.0,
-            )
-            with bar:
-                self._loop(bar, writer)
-            if self._stop:
+        progress = Progress(self.config, self.out, self.step, self.engine.is_main)
+        draws = Draws(self.task, self.engine, self.options.seed)
+        with _stop_requests(self), progress, draws:
+            self._loop(draws, progress)
+            if not self._finished():
                 self._checkpoint()
-                return self._interrupted()
-            if not self._is_due(self.options.validate_every):
-                self._validate(writer)
-            self._checkpoint()
-        return TrainingResult("finished", self.step, self.scores, self.out / self.config.kind)
+                self._say_how_to_go_on()
+                return self._result("interrupted")
+            self._validate(progress)
+            self._checkpoint(whole=True)
+        return self._result("finished")
 
-    def _loop(self, bar: tqdm[Any], writer: SummaryWriter) -> None:
+    def request_stop(self) -> None:
+        """Ends the run after the step in progress."""
+        self._asked_to_stop = True
+
+    def _loop(self, draws: Draws, progress: Progress) -> None:
+        options = self.options
         while not self._stop and not self._finished():
-            began = time.perf_counter()
-            terms = self._train_step()
-            self.elapsed_s += time.perf_counter() - began
-            bar.update(1)
-            if self._is_due(self.options.log_every):
-                for name, value in terms.items():
-                    writer.add_scalar(f"train/{name}", value, self.step)
-                writer.add_scalar("train/learning_rate", self._learning_rate(), self.step)
-                rate = self.step * self.options.batch_size / max(self.elapsed_s, 1e-9)
-                writer.add_scalar("train/items_per_second", rate, self.step)
-                left = f"{self.elapsed_s / 60:.1f}"
-                if self.options.max_minutes:
-                    left += f"/{self.options.max_minutes:g}"
-                bar.set_postfix_str(f"loss {terms['loss']:.4g}, {rate:.1f} items/s, {left} min")
-            if self._is_due(self.options.validate_every):
-                self._validate(writer)
+            terms = self._train_step(draws)
+            if self._is_due(options.log_every) or progress.is_due():
+                terms["learning_rate"] = self._learning_rate()
+                logged = self._is_due(options.log_every)
+                progress.show(self.step, self.elapsed_s, self._progress(), terms, logged)
+            if self._is_due(options.render_every):
+                self._render(progress)
+            if self._finished():
+                return
+            if self._is_due(options.validate_every):
+                self._validate(progress)
                 self._checkpoint()
-            elif self._is_due(self.options.checkpoint_every):
+            elif self._is_due(options.checkpoint_every):
                 self._checkpoint()
 
-    def _train_step(self) -> dict[str, float]:
-        generator = torch.Generator().manual_seed(step_seed(self.options.seed, self.step))
-        torch.manual_seed(step_seed(self.options.seed + 1, self.step))  # dropout draws globally
-        batch = self.task.batch(generator)
+    def _train_step(self, draws: Draws) -> dict[str, float]:
+        began = time.perf_counter()
+        batches = draws.take(self.step)
         for group in self.optimizer.param_groups:
             group["lr"] = self._learning_rate()
-        device = next(self.task.model.parameters()).device.type
-        with torch.autocast(device, dtype=torch.bfloat16, enabled=self.options.bf16):
-            terms = self.task.loss(batch, generator)
         self.optimizer.zero_grad(set_to_none=True)
-        terms["loss"].backward()  # type: ignore[no-untyped-call]
+        passes = [self._pass(draws, batches, number) for number in range(len(batches))]
+        self.engine.scaler.unscale_(self.optimizer)
         norm = nn.utils.clip_grad_norm_(
             self.task.model.parameters(), self.options.grad_clip or math.inf
         )
-        if not torch.isfinite(terms["loss"]) or not torch.isfinite(norm):
-            self._fail(batch, terms, norm)
-        self.optimizer.step()
+        names = list(passes[0])
+        means = [torch.stack([found[name] for found in passes]).mean() for name in names]
+        shared = self.engine.mean(torch.stack([*means, norm.detach()]).float())
+        found = dict(
+            zip([*names, "gradient_norm"], shared.tolist())
+        )  # the step's one wait for a GPU
+        if not self._is_sound(found):
+            self._fail(batches, passes, found)
+        self.engine.scaler.step(self.optimizer)
+        self.engine.scaler.update()
         self.step += 1
         self.average.update(self.task.model, self.step)
-        return {name: float(value.detach()) for name, value in terms.items()} | {
-            "gradient_norm": float(norm)
-        }
+        self._agree(time.perf_counter() - began)
+        return found
 
-    def _fail(self, batch: Batch, terms: dict[str, Tensor], norm: Tensor) -> None:
-        path = self.out / f"failed_batch_{self.config.kind}.pt"
-        torch.save(batch, path)
-        found = ", ".join(f"{name} {float(value.detach())}" for name, value in terms.items())
+    def _pass(self, draws: Draws, batches: list[Batch], number: int) -> dict[str, Tensor]:
+        """Forward and backward of one of a step's batches; gradients add up to the step's mean."""
+        generator = draws.generator(self.step, number)
+        # Dropout draws globally.
+        torch.manual_seed(step_seed(self.options.seed + 1, self.step, draws.shard(number)))
+        with self.engine.last_of_step(self.module, number == len(batches) - 1):
+            with self.engine.autocast():
+                terms: dict[str, Tensor] = self.module(batches[number], generator)
+            scaled = self.engine.scaler.scale(terms["loss"] / len(batches))
+            scaled.backward()  # type: ignore[no-untyped-call]
+        return {name: value.detach() for name, value in terms.items()}
+
+    def _agree(self, seconds: float) -> None:
+        """All processes stop together and follow one clock."""
+        if self.engine.num_processes > 1:
+            own = torch.tensor([seconds, float(self._asked_to_stop)], device=self.engine.device)
+            seconds, asked = self.engine.mean(own).tolist()
+            self._stop = asked > 0
+        else:
+            self._stop = self._asked_to_stop
+        self.elapsed_s += seconds
+
+    def _is_sound(self, found: dict[str, float]) -> bool:
+        if not math.isfinite(found["loss"]):
+            return False
+        if self.options.fp16:  # the scaler skips overflowing steps and lowers the scale
+            return self.engine.scaler.get_scale() > _SMALLEST_SCALE
+        return math.isfinite(found["gradient_norm"])
+
+    def _fail(
+        self, batches: list[Batch], passes: list[dict[str, Tensor]], found: dict[str, float]
+    ) -> None:
+        bad = [b for b, p in zip(batches, passes) if not torch.isfinite(p["loss"])] or batches
+        rank = f"_{self.engine.rank}" if self.engine.rank else ""
+        path = self.out / f"failed_batch_{self.config.kind}{rank}.pt"
+        torch.save(_on_cpu(bad[0] if len(bad) == 1 else bad), path)
+        shown = ", ".join(f"{name} {value}" for name, value in found.items())
         raise RuntimeError(
-            f"step {self.step} of {self.config.kind} is not finite ({found}, gradient norm "
-            f"{float(norm)}); its batch is saved as {path}. Lower loop.learning_rate or look at "
-            "that batch"
+            f"step {self.step} of {self.config.kind} is not finite ({shown}); its batch is saved as "
+            f"{path}. Lower loop.learning_rate or look at that batch"
         )
 
     def _learning_rate(self) -> float:
@@ -222,24 +234,37 @@ class Trainer:
     def _is_due(self, every: int) -> bool:
         return every > 0 and self.step > 0 and self.step % every == 0
 
-    def _validate(self, writer: SummaryWriter) -> None:
-        began = time.perf_counter()
-        self.task.model.eval()
-        averaged = self.options.ema_decay > 0
+    @contextmanager
+    def _evaluating(self) -> Iterator[None]:
+        """The averaged weights in eval mode, and no gradients."""
+        model = self.task.model
+        model.eval()
+        averaged = self.average.applied(model) if self.average.weights else nullcontext()
         try:
-            with self.average.applied(self.task.model) if averaged else _nothing():
-                with torch.no_grad():
-                    self.scores = self.task.validate()
+            with averaged, torch.no_grad():
+                yield
+        finally:
+            model.train()
+
+    def _validate(self, progress: Progress) -> None:
+        """Scores the weights and exports them where they are the best, on the main process."""
+        if self.engine.is_main:
+            began = time.perf_counter()
+            with self._evaluating():
+                self.scores = self.task.validate()
                 if self.options.keep == "last" or self.scores["score"] <= self.best:
                     self.best = self.scores["score"]
                     self.task.export(self.out / self.config.kind, self._training_record())
-        finally:
-            self.task.model.train()
-        for name, value in self.scores.items():
-            writer.add_scalar(f"val/{name}", value, self.step)
-        shown = ", ".join(f"{name} {value:.4g}" for name, value in self.scores.items())
-        seconds = time.perf_counter() - began
-        tqdm.write(f"step {self.step}: {shown} ({seconds:.1f} s)", file=sys.stderr)
+            progress.show_scores(self.step, self.scores, time.perf_counter() - began)
+        self.scores = self.engine.from_main(self.scores)
+
+    def _render(self, progress: Progress) -> None:
+        if self.engine.is_main and isinstance(self.task, ShowsSamples):
+            with self._evaluating():
+                sample = self.task.sample()
+            folder = self.out / "samples" / self.config.kind
+            progress.show_picture(self.step, save_sample(sample, folder / f"step_{self.step:07d}"))
+        self.engine.from_main(None)
 
     def _training_record(self) -> dict[str, Any]:
         return {
@@ -249,90 +274,118 @@ class Trainer:
             "commit": git_commit(),
             "steps": self.step,
             "minutes": round(self.elapsed_s / 60, 2),
+            "processes": self.engine.num_processes,
             "torch": torch.__version__,
             "validation": self.scores,
         }
 
-    def _checkpoint(self) -> None:
-        tensors = {"model": dict(self.task.model.state_dict()), "average": self.average.weights}
-        state = {
-            "config": self.config.to_dict(),
-            "elapsed_s": self.elapsed_s,
-            "best": self.best if math.isfinite(self.best) else None,
-            "scores": self.scores,
-        }
-        save_checkpoint(self.checkpoints, self.step, tensors, self.optimizer.state_dict(), state)
+    def _checkpoint(self, whole: bool = False) -> None:
+        """Saves what the training goes on from; `whole` where nothing is left to do."""
+        if self.engine.is_main and self._saved_step != self.step:
+            tensors = {"training": dict(self.task.model.state_dict())}
+            if self.average.weights:
+                tensors["average"] = self.average.weights
+            optimizer = {"adamw": self.optimizer.state_dict()}
+            if self.options.fp16:
+                optimizer["scaler"] = self.engine.scaler.state_dict()
+            state = {
+                "config": self.config.to_dict(),
+                "elapsed_s": self.elapsed_s,
+                "best": self.best if math.isfinite(self.best) else None,
+                "scores": self.scores,
+                "finished": whole,
+            }
+            save_checkpoint(
+                self.checkpoints,
+                self.step,
+                tensors,
+                optimizer,
+                state,
+                self._export,
+                self.options.keep_checkpoints,
+            )
+            self._saved_step = self.step
+        self.engine.from_main(None)
 
-    def _resume(self) -> None:
+    def _export(self, directory: Path) -> None:
+        with self._evaluating():
+            self.task.export(directory, self._training_record())
+
+    def _resume(self) -> bool:
+        """Goes to where a checkpoint was; whether that was the end."""
         found = find_checkpoint(self.checkpoints)
         if found is None:
-            return
+            return False
         tensors, optimizer, state = load_checkpoint(found)
         if state["config"]["model"] != self.config.to_dict()["model"]:
             raise ValueError(
                 f"{found} was trained with other model options; give another --out or delete "
                 f"{self.checkpoints}"
             )
-        self.task.model.load_state_dict(tensors["model"])
-        device = next(self.task.model.parameters()).device
-        self.average.weights = {key: value.to(device) for key, value in tensors["average"].items()}
-        self.optimizer.load_state_dict(optimizer)
+        self.task.model.load_state_dict(tensors["training"])
+        if self.options.ema_decay > 0:
+            self.average = Average(self.task.model, self.options.ema_decay)
+            for name, value in tensors.get("average", {}).items():
+                self.average.weights[name].copy_(value)
+        self.optimizer.load_state_dict(optimizer["adamw"])
+        if self.options.fp16 and "scaler" in optimizer:
+            self.engine.scaler.load_state_dict(optimizer["scaler"])
         self.step = int(state["step"])
         self.elapsed_s = float(state["elapsed_s"])
         self.best = math.inf if state["best"] is None else float(state["best"])
         self.scores = state["scores"]
-        tqdm.write(f"continuing {self.out} after step {self.step}", file=sys.stderr)
+        if self.engine.is_main:
+            tqdm.write(f"continuing {self.out} after step {self.step}", file=sys.stderr)
+        return bool(state["finished"])
 
-    def _interrupted(self) -> TrainingResult:
-        tqdm.write(
-            f"stopped after step {self.step} and saved; the same command continues from there "
-            f"({self.checkpoints})",
-            file=sys.stderr,
-        )
-        return TrainingResult("interrupted", self.step, self.scores, self.out / self.config.kind)
+    def _say_how_to_go_on(self) -> None:
+        if self.engine.is_main:
+            tqdm.write(
+                f"stopped after step {self.step} and saved; the same command continues from there "
+                f"({self.checkpoints})",
+                file=sys.stderr,
+            )
 
-    def request_stop(self) -> None:
-        """Ends the run after the step in progress."""
-        self._stop = True
-
-
-def parameter_groups(model: nn.Module, weight_decay: float) -> list[dict[str, Any]]:
-    """Decay for matrices and kernels; none for biases, norms, diffusion times and tables."""
-    decayed: list[nn.Parameter] = []
-    spared: list[nn.Parameter] = []
-    for name, parameter in model.named_parameters():
-        table = any(part in name for part in ("position", "embedding", "diffusion_time"))
-        (spared if parameter.ndim < 2 or table else decayed).append(parameter)
-    groups = [
-        {"params": decayed, "weight_decay": weight_decay},
-        {"params": spared, "weight_decay": 0.0},
-    ]
-    return [group for group in groups if group["params"]]
+    def _result(self, status: str) -> TrainingResult:
+        return TrainingResult(status, self.step, self.scores, self.out / self.config.kind)
 
 
-def step_seed(seed: int, step: int) -> int:
-    """A seed for one step: neighbours in seed or step share nothing (splitmix64)."""
-    mask = (1 << 64) - 1
-    value = (seed * 0x9E3779B97F4A7C15 + step * 0xD1342543DE82EF95 + 0x2545F4914F6CDD1D) & mask
-    value = ((value ^ (value >> 30)) * 0xBF58476D1CE4E5B9) & mask
-    value = ((value ^ (value >> 27)) * 0x94D049BB133111EB) & mask
-    return (value ^ (value >> 31)) >> 1
+class _Loss(nn.Module):
+    """A step's forward pass: what is wrapped to average gradients over processes."""
+
+    def __init__(self, task: Task) -> None:
+        super().__init__()
+        self.model = task.model
+        self._loss = task.loss
+
+    def forward(self, batch: Batch, generator: torch.Generator) -> dict[str, Tensor]:
+        """The task's terms."""
+        return self._loss(batch, generator)
 
 
-@contextmanager
-def _nothing() -> Iterator[None]:
-    yield
+def _on_cpu(batch: Any) -> Any:
+    if isinstance(batch, Tensor):
+        return batch.detach().cpu()
+    if isinstance(batch, dict):
+        return {key: _on_cpu(value) for key, value in batch.items()}
+    return [_on_cpu(value) for value in batch] if isinstance(batch, list) else batch
 
 
 @contextmanager
 def _stop_requests(trainer: Trainer) -> Iterator[None]:
-    """The first Ctrl-C (or SIGTERM) ends after the step, the second at once."""
+    """The first Ctrl-C (or SIGTERM) ends after the step, the second at once.
+
+    ``torchrun`` passes on the signal that its processes had already, and ends them after a grace time.
+    """
+    launched = "TORCHELASTIC_RUN_ID" in os.environ
 
     def handle(number: int, frame: FrameType | None) -> None:
-        if trainer._stop:
+        if trainer._asked_to_stop and not launched:
             raise KeyboardInterrupt
+        repeated = trainer._asked_to_stop
         trainer.request_stop()
-        tqdm.write("stopping after this step; once more to stop at once", file=sys.stderr)
+        if trainer.engine.is_main and not repeated:
+            tqdm.write("stopping after this step; once more to stop at once", file=sys.stderr)
 
     try:
         before = {s: signal.signal(s, handle) for s in (signal.SIGINT, signal.SIGTERM)}

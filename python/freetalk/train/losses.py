@@ -13,6 +13,7 @@ def motion_loss(
     lambda_velocity: float = 0.0,
     lambda_acceleration: float = 0.0,
     point_weights: Tensor | None = None,
+    counts: Tensor | None = None,
 ) -> dict[str, Tensor]:
     """Position, velocity and acceleration errors of a motion [FreeTalk, Eq. 15-16].
 
@@ -26,6 +27,9 @@ def motion_loss(
         lambda_velocity: weight of the first differences.
         lambda_acceleration: weight of the second differences.
         point_weights: (K,) weight of each point, mean 1; ``None`` weighs all alike (the paper).
+        counts: (3,) what the three sums over frames are divided by, in place of the frames of
+            ``motion_counts(valid)``: their mean over the shards of a step makes the mean of the
+            shards' losses the loss of all frames.
 
     Returns:
         ``position``, ``velocity``, ``acceleration`` and their weighted sum ``loss``; scalars.
@@ -35,12 +39,14 @@ def motion_loss(
         valid = torch.ones(error.shape[:-2], dtype=torch.bool, device=error.device)
     velocity = error[..., 1:, :, :] - error[..., :-1, :, :]
     acceleration = velocity[..., 1:, :, :] - velocity[..., :-1, :, :]
-    both = valid[..., 1:] & valid[..., :-1]
-    three = both[..., 1:] & both[..., :-1]
+    if counts is None:
+        counts = motion_counts(valid)
+    frames, pairs, triples = counts.clamp_min(1).unbind()
+    both, three = _consecutive(valid)
     terms = {
-        "position": _mean_squared_norm(error, valid, point_weights),
-        "velocity": _mean_squared_norm(velocity, both, point_weights),
-        "acceleration": _mean_squared_norm(acceleration, three, point_weights),
+        "position": _squared_norms(error, valid, point_weights) / frames,
+        "velocity": _squared_norms(velocity, both, point_weights) / pairs,
+        "acceleration": _squared_norms(acceleration, three, point_weights) / triples,
     }
     terms["loss"] = (
         terms["position"]
@@ -50,9 +56,19 @@ def motion_loss(
     return terms
 
 
-def _mean_squared_norm(error: Tensor, valid: Tensor, point_weights: Tensor | None) -> Tensor:
+def motion_counts(valid: Tensor) -> Tensor:
+    """Valid frames, pairs and triples of consecutive ones of (..., T) bool; (3,) float32."""
+    both, three = _consecutive(valid)
+    return torch.stack([valid.sum(), both.sum(), three.sum()]).float()
+
+
+def _consecutive(valid: Tensor) -> tuple[Tensor, Tensor]:
+    both = valid[..., 1:] & valid[..., :-1]
+    return both, both[..., 1:] & both[..., :-1]
+
+
+def _squared_norms(error: Tensor, valid: Tensor, point_weights: Tensor | None) -> Tensor:
     squared = error.square().sum(dim=-1)  # (..., T, K)
     if point_weights is not None:
         squared = squared * point_weights
-    per_frame = squared.mean(dim=-1) * valid  # (..., T)
-    return per_frame.sum() / valid.sum().clamp_min(1)
+    return (squared.mean(dim=-1) * valid).sum()

@@ -7,7 +7,8 @@ from pathlib import Path
 import torch
 
 from freetalk.data import OpenCorpus
-from freetalk.train.config import LoopOptions, TrainingConfig, load_config
+from freetalk.train.config import TrainingConfig, load_config
+from freetalk.train.engine import Engine
 from freetalk.train.initial import start_from
 from freetalk.train.loop import Task, Trainer, TrainingResult, write_run_record
 
@@ -18,7 +19,9 @@ def run(
     """Trains a model; an interrupted run continues when called again with the same `out`.
 
     Writes below `out`: ``<kind>/`` (weights for inference, after every validation that improves),
-    ``checkpoints/<kind>/``, ``tensorboard/<kind>/``, ``run_<kind>.json``.
+    ``checkpoints/<kind>/``, ``tensorboard/<kind>/``, ``samples/<kind>/``, ``run_<kind>.json``. Under
+    ``torchrun`` or ``accelerate launch`` every process calls it, with the same arguments; `data` and
+    `out` are folders that all of them see.
 
     Args:
         kind: ``ats``, ``stm`` or ``speech``.
@@ -36,17 +39,19 @@ def run(
         RuntimeError: the loss or a gradient is not finite.
     """
     config = load_config(kind, config_path, overrides)
-    device = choose_device(config.loop)
+    engine = Engine(config.loop)
     if config.loop.threads > 0:
         torch.set_num_threads(config.loop.threads)
     corpus = OpenCorpus(data)
     corpus.check()
     out = Path(out)
-    torch.manual_seed(config.loop.seed)  # initial weights
-    task = make_task(config, corpus, out, device)
-    write_run_record(out, config, Path(data))
+    with engine.main_first():
+        torch.manual_seed(config.loop.seed)  # initial weights
+        task = make_task(config, corpus, out, engine.device)
+    if engine.is_main:
+        write_run_record(out, config, Path(data))
     command = f"freetalk train {kind} --config {Path(config_path).name} --data CORPUS --out OUT"
-    return Trainer(task, config, out, " ".join([command, *overrides])).run()
+    return Trainer(task, config, out, " ".join([command, *overrides]), engine).run()
 
 
 def make_task(config: TrainingConfig, corpus: OpenCorpus, out: Path, device: torch.device) -> Task:
@@ -70,16 +75,3 @@ def _new_task(config: TrainingConfig, corpus: OpenCorpus, out: Path, device: tor
     from freetalk.train.speech import SpeechTask
 
     return SpeechTask(config, corpus, out, device)
-
-
-def choose_device(options: LoopOptions) -> torch.device:
-    """Where to train.
-
-    Raises:
-        ValueError: CUDA is asked for and absent.
-    """
-    if options.device == "cuda" and not torch.cuda.is_available():
-        raise ValueError("loop.device is cuda, but this machine has no usable GPU")
-    if options.device == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    return torch.device(options.device)

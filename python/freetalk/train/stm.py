@@ -15,7 +15,7 @@ from freetalk.stm import Stm, StmOptions
 from freetalk.train.checkpoint import export_model
 from freetalk.train.config import StmTaskOptions, TrainingConfig
 from freetalk.train.losses import motion_loss
-from freetalk.train.sampling import SequenceSampler, numpy_generator
+from freetalk.train.sampling import SequenceSampler
 from freetalk.train.stm_meshes import (
     Placement,
     PreparedMesh,
@@ -56,31 +56,30 @@ class StmTask:
         self.meshes = self._prepare("train", self.options.num_meshes, self.options.max_vertices)
         self._held_out_meshes = self._prepare("val", _VALIDATION_MESHES, 0)
 
-    def batch(self, generator: torch.Generator) -> dict[str, Any]:
-        """Per item a face, its place, and a window of motion."""
-        rng = numpy_generator(generator)
-        items = []
-        for _ in range(self.batch_size):
-            index = int(rng.integers(len(self.meshes)))
-            placement = random_placement(
-                rng,
-                self.options.rotation_deg,
-                self.options.translation_m,
-                self.options.scale_range,
-                self.device,
-            )
-            weights, landmarks = self._window(rng)
-            noise = rng.standard_normal(landmarks.shape) * self.options.landmark_noise_m
-            items.append(
-                {
-                    "mesh": index,
-                    "rotation": placement.rotation,
-                    "translation": placement.translation,
-                    "scale": placement.scale,
-                    "weights": torch.from_numpy(weights),
-                    "landmarks": torch.from_numpy((landmarks + noise).astype(np.float32)),
-                }
-            )
+    def item(self, rng: np.random.Generator) -> dict[str, Any]:
+        """A face, its place, and a window of motion."""
+        mesh = int(rng.integers(len(self.meshes)))
+        placement = random_placement(
+            rng,
+            self.options.rotation_deg,
+            self.options.translation_m,
+            self.options.scale_range,
+            torch.device("cpu"),
+        )
+        weights, landmarks = self._window(rng)
+        noise = rng.standard_normal(landmarks.shape) * self.options.landmark_noise_m
+        true = self.corpus.displacements_of(self.meshes[mesh].topology, weights)
+        return {
+            "mesh": mesh,
+            "rotation": placement.rotation,
+            "translation": placement.translation,
+            "scale": placement.scale,
+            "landmarks": torch.from_numpy((landmarks + noise).astype(np.float32)),
+            "target": torch.from_numpy(true),
+        }
+
+    def collate(self, items: list[dict[str, Any]]) -> dict[str, Any]:
+        """Faces of different sizes side by side."""
         return {"items": items}
 
     def loss(self, batch: dict[str, Any], generator: torch.Generator) -> dict[str, Tensor]:
@@ -89,7 +88,8 @@ class StmTask:
         for item in batch["items"]:
             mesh = self.meshes[item["mesh"]]
             placement = Placement(item["rotation"], item["translation"], item["scale"])
-            prediction, target = self._predict(mesh, item["weights"], item["landmarks"], placement)
+            prediction = self._predict(mesh, item["landmarks"], placement)
+            target = placement.turned(item["target"])
             for name, value in self._terms(mesh, prediction, target).items():
                 totals[name] = totals.get(name, torch.zeros((), device=self.device)) + value
         return {name: value / len(batch["items"]) for name, value in totals.items()}
@@ -105,9 +105,10 @@ class StmTask:
                 sequence = self.held_out.draw(rng)
                 start = int(rng.integers(0, max(1, sequence.num_frames - self.options.frames)))
                 stop = start + self.options.frames
-                weights = torch.from_numpy(self.corpus.weights(sequence, start, stop))
                 landmarks = torch.from_numpy(self.corpus.landmarks(sequence, start, stop))
-                prediction, target = self._predict(mesh, weights, landmarks, still)
+                true = self.corpus.vertex_displacements(mesh.topology, sequence, start, stop)
+                prediction = self._predict(mesh, landmarks.to(self.device), still)
+                target = torch.from_numpy(true).to(self.device)
                 error, motion = (prediction - target).norm(dim=-1), target.norm(dim=-1)
                 lips = mesh.lip_mask
                 sums += [
@@ -133,17 +134,14 @@ class StmTask:
         }
         export_model(directory, config, dict(self.model.state_dict()))
 
-    def _predict(
-        self, mesh: PreparedMesh, weights: Tensor, landmarks: Tensor, placement: Placement
-    ) -> tuple[Tensor, Tensor]:
-        """Predicted and true displacements of a window, (T, V, 3) m."""
-        prediction = self.model(
+    def _predict(self, mesh: PreparedMesh, landmarks: Tensor, placement: Placement) -> Tensor:
+        """Predicted displacements of a window, (T, V, 3) m, of landmarks (T, 68, 3) m in place."""
+        prediction: Tensor = self.model(
             placement.moved(mesh.positions),
             placement.operators(mesh.operators),
-            placement.turned(landmarks.to(self.device)),
+            placement.turned(landmarks),
         )
-        true = self.corpus.displacements_of(mesh.topology, weights.numpy())
-        return prediction.float(), placement.turned(torch.from_numpy(true).to(self.device))
+        return prediction.float()
 
     def _terms(self, mesh: PreparedMesh, prediction: Tensor, target: Tensor) -> dict[str, Tensor]:
         o = self.options

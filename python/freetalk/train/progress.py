@@ -1,0 +1,104 @@
+"""What a training shows while it runs: a bar on the terminal, curves and pictures in TensorBoard."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from tqdm import tqdm
+
+from freetalk.train.config import TrainingConfig
+
+
+class Progress:
+    """The bar and the TensorBoard writer of the main process; other processes show nothing.
+
+    Args:
+        config: of the training.
+        out: its output folder.
+        step: where it starts or goes on; later points of an earlier run are dropped.
+        shown: whether this process shows anything.
+    """
+
+    def __init__(self, config: TrainingConfig, out: Path, step: int, shown: bool) -> None:
+        self._options = config.loop
+        self._shown = shown
+        self._bar: Any = tqdm(
+            total=1.0,
+            desc=config.kind,
+            bar_format="{desc}: {percentage:3.0f}%|{bar}|{postfix}",
+            dynamic_ncols=True,
+            mininterval=0.0,
+            disable=not shown,
+        )
+        self._seen = step
+        self._seen_at = self._drawn_at = time.perf_counter()
+        if shown:
+            from torch.utils.tensorboard import SummaryWriter
+
+            folder = out / "tensorboard" / config.kind
+            self._writer: Any = SummaryWriter(str(folder), purge_step=step)
+            text = json.dumps(config.to_dict(), indent=2).replace("\n", "\n    ")
+            self._writer.add_text("config", f"    {text}", step)
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.close()
+        if self._shown:
+            self._writer.close()
+
+    def is_due(self) -> bool:
+        """Whether the bar is more than a second old."""
+        return self._shown and time.perf_counter() - self._drawn_at > 1.0
+
+    def show(
+        self, step: int, elapsed_s: float, done: float, terms: dict[str, float], logged: bool
+    ) -> None:
+        """Moves the bar, and adds a point to the curves.
+
+        Args:
+            step: finished steps.
+            elapsed_s: seconds of training so far.
+            done: share of the training that is done.
+            terms: values of the step.
+            logged: whether TensorBoard gets them.
+        """
+        if not self._shown:
+            return
+        now = time.perf_counter()
+        rate = (step - self._seen) * self._options.batch_size / max(now - self._seen_at, 1e-9)
+        if logged:
+            for name, value in {**terms, "items_per_second": rate}.items():
+                self._writer.add_scalar(f"train/{name}", value, step)
+        left = elapsed_s * (1 - done) / done
+        self._bar.n = min(done, 1.0)
+        self._bar.set_postfix_str(
+            f"step {step}/{self._options.max_steps}, loss {terms['loss']:.4g}, {rate:.1f} items/s, "
+            f"{_clock(elapsed_s)} so far, {_clock(left)} left"
+        )
+        self._drawn_at = now
+        self._seen, self._seen_at = step, now
+
+    def show_scores(self, step: int, scores: dict[str, float], seconds: float) -> None:
+        """Adds a validation's scores to the curves and prints them."""
+        for name, value in scores.items():
+            self._writer.add_scalar(f"val/{name}", value, step)
+        shown = ", ".join(f"{name} {value:.4g}" for name, value in scores.items())
+        tqdm.write(f"step {step}: {shown} ({seconds:.1f} s)", file=sys.stderr)
+        self._seen_at += seconds  # not training
+
+    def show_picture(self, step: int, picture: npt.NDArray[np.uint8]) -> None:
+        """Adds a picture (H, W, 3) of a sample."""
+        self._writer.add_image("sample", picture, step, dataformats="HWC")
+
+
+def _clock(seconds: float) -> str:
+    minutes = round(seconds) // 60
+    return f"{minutes // 60}:{minutes % 60:02d}:{round(seconds) % 60:02d}"
