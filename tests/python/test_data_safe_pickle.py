@@ -130,5 +130,5 @@ def test_a_pickle_cut_short_is_named(tmp_path: Path) -> None:
         (tmp_path / "cut.pkl").write_bytes(data[:length])
         with pytest.raises(ValueError, match=r"cut\.pkl is no readable pickle.*cut short"):
             load_pickle(tmp_path / "cut.pkl")
-    with pytest.raises(FileNotFoundError, match="none.pkl"):
+    with pytest.raises(FileNotFoundError, match=r"none\.pkl"):
         load_pickle(tmp_path / "none.pkl")

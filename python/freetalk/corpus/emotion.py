@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from freetalk._native import ats as _native
 from freetalk.corpus.assets import Array, FaceModel
 from freetalk.corpus.lips import Lips
 
-EMOTIONS = (
-    "neutral", "afraid", "ashamed", "angry", "disgust", "happy", "sad", "drunk", "ill", "suspicious", "pleased", "upset",
-    "surprise", "contempt",
-)  # fmt: skip
+EMOTIONS: tuple[str, ...] = tuple(_native.AtsOptions().emotions)
+"""The model's vocabulary; every name has a pose below."""
 LEVELS = {1: 0.42, 2: 0.70, 3: 1.0}
 """Share of the full pose at each intensity."""
 

@@ -5,33 +5,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
+
+from freetalk.data.emotions import EMOTIONS
+
+__all__ = [
+    "EMOTIONS",
+    "NUM_LANDMARKS",
+    "BoolArray",
+    "FaceMesh",
+    "FloatArray",
+    "MotionDataset",
+    "MotionSequence",
+]
 
 FloatArray = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
 
 NUM_LANDMARKS = 68
-
-#: Canonical order of the affect vocabulary; emotion codes index into it.
-EMOTIONS: tuple[str, ...] = (
-    "neutral",
-    "afraid",
-    "ashamed",
-    "angry",
-    "disgust",
-    "happy",
-    "sad",
-    "drunk",
-    "ill",
-    "suspicious",
-    "pleased",
-    "upset",
-    "surprise",
-    "contempt",
-)
 
 
 @dataclass(frozen=True)
@@ -51,6 +45,10 @@ class MotionSequence:
         identity: index of the face that was recorded or drawn.
         voice: speaker.
         text: transcript where known.
+        fps: frames per second of its motion.
+        topology: meshing that it was recorded on, the only one whose vertices it moves (of
+            ``identity``); ``None`` where it moves every face of its dataset.
+        dataset: name of the dataset.
     """
 
     id: str
@@ -65,6 +63,9 @@ class MotionSequence:
     identity: int
     voice: str | None
     text: str | None
+    fps: float = 30.0
+    topology: str | None = None
+    dataset: str = ""
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,7 @@ class FaceMesh:
         faces: (F, 3) int64.
         lip_mask: (V,) bool.
         upper_face_mask: (V,) bool.
+        dataset: name of the dataset; its sequences move this face.
     """
 
     name: str
@@ -84,15 +86,28 @@ class FaceMesh:
     faces: npt.NDArray[np.int64]
     lip_mask: BoolArray
     upper_face_mask: BoolArray
+    dataset: str = ""
 
 
 @runtime_checkable
 class MotionDataset(Protocol):
-    """The one interface that training and evaluation use; lengths in metres, time in seconds."""
+    """The one interface that training and evaluation use; lengths in metres, time in seconds.
 
+    Attributes:
+        name: of the dataset.
+        fps: frames per second; where sequences differ, the highest (each says its own).
+        sample_rate_hz: of :meth:`audio`.
+        emotions: the vocabulary that the sequences' emotions index into.
+    """
+
+    name: str
     fps: float
     sample_rate_hz: int
     emotions: tuple[str, ...]
+
+    @property
+    def fingerprint(self) -> str:
+        """Changes when the data does; names it in caches."""
 
     def sequences(
         self, split: str | None = None, sources: Sequence[str] | None = None
@@ -115,6 +130,23 @@ class MotionDataset(Protocol):
 
     def mesh(self, identity: int, topology: str) -> FaceMesh:
         """Neutral face of an identity on a meshing."""
+
+    def num_vertices(self, topology: str) -> int:
+        """Vertices V of a meshing."""
+
+    def faces(self, split: str | None = None, max_vertices: int = 0) -> list[tuple[int, str]]:
+        """(identity, topology) of every face of a split, spread so that any prefix is varied.
+
+        Args:
+            split: of both; all if ``None``.
+            max_vertices: larger meshings are left out, 0 for no limit.
+        """
+
+    def describe(self) -> dict[str, Any]:
+        """What results say of the data: names, unit, frame rate, split, masks by count and hash."""
+
+    def check(self) -> None:
+        """Looks for missing files before a training starts; raises what is wrong by name."""
 
     def vertex_displacements(
         self, topology: str, sequence: MotionSequence, start: int = 0, stop: int | None = None

@@ -19,6 +19,7 @@ from freetalk.data.dataset import (
     FloatArray,
     MotionSequence,
 )
+from freetalk.data.index_files import index_hash
 
 _FORMAT = "freetalk-open-corpus"
 _REBUILD = "run `freetalk corpus build --out DIR` to make it anew"
@@ -39,6 +40,7 @@ class OpenCorpus:
     def __init__(self, directory: str | Path) -> None:
         self.directory = Path(directory).resolve()
         self.manifest = self._read_manifest()
+        self.name = self.directory.name
         self.fps = float(self.manifest["fps"])
         self.sample_rate_hz = int(self.manifest["sample_rate_hz"])
         self.emotions: tuple[str, ...] = tuple(self.manifest["emotions"])
@@ -52,6 +54,11 @@ class OpenCorpus:
         # Bound per object, so that two corpora never share a meshing of the same name.
         self._topology = lru_cache(maxsize=16)(self._load_topology)
         self._basis = lru_cache(maxsize=16)(self._load_basis)
+
+    @property
+    def fingerprint(self) -> str:
+        """The folder and the seed of its content."""
+        return f"{self.directory} {self.manifest.get('seed')}"
 
     def sequences(
         self, split: str | None = None, sources: Sequence[str] | None = None
@@ -112,6 +119,42 @@ class OpenCorpus:
         entries = self.manifest["topologies"]
         return [str(e["name"]) for e in entries if split is None or e["split"] == split]
 
+    def num_vertices(self, topology: str) -> int:
+        """Vertices V of a meshing."""
+        return int(self._entry(topology)["num_vertices"])
+
+    def faces(self, split: str | None = None, max_vertices: int = 0) -> list[tuple[int, str]]:
+        """(identity, topology) of a split: in round r meshing j meets identity r + j."""
+        identities = self.identities(split)
+        topologies = [
+            name
+            for name in self.topologies(split)
+            if max_vertices <= 0 or self.num_vertices(name) <= max_vertices
+        ]
+        return [
+            (identities[(turn + column) % len(identities)], topology)
+            for turn in range(len(identities))
+            for column, topology in enumerate(topologies)
+        ]
+
+    def describe(self) -> dict[str, Any]:
+        """What results say of the data: size, seed, and each meshing's masks by count and hash."""
+        return {
+            "name": self.name,
+            "kind": "open",
+            "unit": "m",
+            "fps": self.fps,
+            **{key: self.manifest.get(key) for key in ("size", "seed")},
+            "sequences": {split: len(self.sequences(split)) for split in _SPLITS},
+            "topologies": {
+                topology: {
+                    mask: {"count": int(flags.sum()), "sha256": index_hash(np.flatnonzero(flags))}
+                    for mask, flags in self._masks(topology).items()
+                }
+                for topology in self.topologies()
+            },
+        }
+
     def mesh(self, identity: int, topology: str) -> FaceMesh:
         """Neutral face ``neutral + identities[identity] . identity_basis`` on a meshing."""
         data = self._topology(topology)
@@ -124,6 +167,7 @@ class OpenCorpus:
             faces=data["faces"].astype(np.int64),
             lip_mask=data["lip_mask"].astype(bool),
             upper_face_mask=data["upper_face_mask"].astype(bool),
+            dataset=self.name,
         )
 
     def expression_basis(self, topology: str) -> FloatArray:
@@ -204,6 +248,8 @@ class OpenCorpus:
             identity=int(entry.get("identity") or 0),
             voice=entry.get("voice"),
             text=entry.get("text"),
+            fps=self.fps,
+            dataset=self.name,
         )
 
     def _array(self, name: str) -> npt.NDArray[Any]:
@@ -234,9 +280,16 @@ class OpenCorpus:
         return np.array(array[first + start : first + end], dtype=np.float32)
 
     def _topology_path(self, name: str) -> Path:
+        return self.directory / str(self._entry(name)["file"])
+
+    def _masks(self, name: str) -> dict[str, npt.NDArray[Any]]:
+        with np.load(self._topology_path(name), allow_pickle=False) as archive:
+            return {mask: archive[mask] > 0 for mask in ("lip_mask", "upper_face_mask")}
+
+    def _entry(self, name: str) -> dict[str, Any]:
         for entry in self.manifest["topologies"]:
             if entry["name"] == name:
-                return self.directory / str(entry["file"])
+                return dict(entry)
         raise ValueError(f"no topology {name!r} in {self.directory}; known: {self.topologies()}")
 
     def _load_topology(self, name: str) -> dict[str, npt.NDArray[Any]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ import numpy.typing as npt
 import torch
 from tqdm import tqdm
 
-from freetalk.data import MotionSequence, OpenCorpus
+from freetalk.data import MotionDataset, MotionSequence
 from freetalk.speech import SpeechEncoder, encode_speech
 from freetalk.train.augment import augment_wave, change_speed
 from freetalk.train.checkpoint import write_json
@@ -44,7 +44,7 @@ class FeatureCache:
 
     def __init__(
         self,
-        corpus: OpenCorpus,
+        corpus: MotionDataset,
         sequences: Sequence[MotionSequence],
         encoder_dir: Path,
         directory: Path,
@@ -61,8 +61,9 @@ class FeatureCache:
             name: [FeatureCopy(*copy) for copy in copies]
             for name, copies in index["copies"].items()
         }
-        self._array = np.load(path / "features.npy", mmap_mode="r", allow_pickle=False)
-        self.width = int(self._array.shape[1])
+        shape = (int(index["rows"]), int(index["width"]))
+        self._array = np.memmap(path / "features.f16", dtype=np.float16, mode="r", shape=shape)
+        self.width = shape[1]
         self.spread = np.array(index["spread"], dtype=np.float32)  # (C,)
 
     def copies(self, sequence: MotionSequence) -> list[FeatureCopy]:
@@ -76,9 +77,12 @@ class FeatureCache:
 
 
 def _key(
-    corpus: OpenCorpus, sequences: Sequence[MotionSequence], encoder_dir: Path, augmentations: int
+    corpus: MotionDataset,
+    sequences: Sequence[MotionSequence],
+    encoder_dir: Path,
+    augmentations: int,
 ) -> str:
-    digest = hashlib.sha256(f"2 {augmentations} {corpus.directory}".encode())
+    digest = hashlib.sha256(f"3 {augmentations} {corpus.fingerprint}".encode())
     for name in ("config.json", "model.safetensors"):
         file = encoder_dir / name
         if not file.is_file():
@@ -95,7 +99,7 @@ def _key(
 
 
 def _compute(
-    corpus: OpenCorpus,
+    corpus: MotionDataset,
     sequences: Sequence[MotionSequence],
     encoder_dir: Path,
     path: Path,
@@ -103,27 +107,43 @@ def _compute(
     device: torch.device,
 ) -> None:
     encoder = SpeechEncoder.from_pretrained(encoder_dir).to(device).eval()
-    parts: list[npt.NDArray[np.float16]] = []
     copies: dict[str, list[Any]] = {}
-    total = 0
-    for number, sequence in enumerate(tqdm(sequences, desc="speech features", unit="take")):
-        rng = np.random.default_rng([number, 77])
-        wave = corpus.audio(sequence)
-        renderings = augmentations if sequence.split == "train" else 0
-        for copy in range(1 + renderings):
-            speed, heard = 1.0, wave
-            if copy > 0:
-                speed = float(rng.uniform(0.9, 1.1)) if copy > 1 else 1.0
-                heard = augment_wave(change_speed(wave, speed), rng, corpus.sample_rate_hz)
-            features = encode_speech(encoder, torch.from_numpy(heard), corpus.fps).cpu().numpy()
-            frames = min(len(features), round(sequence.num_frames / speed))
-            parts.append(features[:frames].astype(np.float16))
-            copies.setdefault(sequence.id, []).append([total, frames, speed])
-            total += frames
-    array = np.concatenate(parts)
-    spread = array.astype(np.float32).std(axis=0)
+    total = width = 0
+    sums = np.zeros((2, 1))
     path.mkdir(parents=True, exist_ok=True)
-    temporary = path / f".features.{os.getpid()}.npy"
-    np.save(temporary, array)
-    temporary.replace(path / "features.npy")
-    write_json(path / "index.json", {"copies": copies, "spread": spread.tolist()})
+    temporary = path / f".features.{os.getpid()}"
+    with temporary.open("wb") as file:  # row by row: a large dataset's features fit no memory
+        for number, sequence in enumerate(tqdm(sequences, desc="speech features", unit="take")):
+            renderings = augmentations if sequence.split == "train" else 0
+            for speed, features in _renderings(
+                corpus, sequence, encoder, np.random.default_rng([number, 77]), renderings
+            ):
+                half = features.astype(np.float16)
+                half.tofile(file)
+                copies.setdefault(sequence.id, []).append([total, len(half), speed])
+                total, width = total + len(half), half.shape[1]
+                values = half.astype(np.float64)
+                sums = sums + np.stack([values.sum(axis=0), np.square(values).sum(axis=0)])
+    mean, square = sums / max(total, 1)
+    spread = np.sqrt(np.maximum(square - np.square(mean), 0))
+    temporary.replace(path / "features.f16")
+    index = {"copies": copies, "rows": total, "width": width, "spread": spread.tolist()}
+    write_json(path / "index.json", index)
+
+
+def _renderings(
+    corpus: MotionDataset,
+    sequence: MotionSequence,
+    encoder: SpeechEncoder,
+    rng: np.random.Generator,
+    augmentations: int,
+) -> Iterator[tuple[float, npt.NDArray[np.float32]]]:
+    """Speed and features (T, C) of a sequence's sound: as it is, then altered."""
+    wave = corpus.audio(sequence)
+    for copy in range(1 + augmentations):
+        speed, heard = 1.0, wave
+        if copy > 0:
+            speed = float(rng.uniform(0.9, 1.1)) if copy > 1 else 1.0
+            heard = augment_wave(change_speed(wave, speed), rng, corpus.sample_rate_hz)
+        features = encode_speech(encoder, torch.from_numpy(heard), sequence.fps).cpu().numpy()
+        yield speed, features[: round(sequence.num_frames / speed)]

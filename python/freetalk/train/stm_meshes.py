@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from freetalk.data import OpenCorpus
+from freetalk.data import MotionDataset
 from freetalk.geometry import SurfaceOperators, surface_operators
 
 
@@ -26,6 +26,7 @@ class PreparedMesh:
         positions: (V, 3) float32, m.
         operators: of the vertices divided by the model's ``length_scale``, float32.
         lip_mask: (V,) bool.
+        dataset: name of the dataset, whose sequences move it.
     """
 
     identity: int
@@ -33,6 +34,7 @@ class PreparedMesh:
     positions: Tensor
     operators: SurfaceOperators
     lip_mask: Tensor
+    dataset: str
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ def random_placement(
 
 
 def prepare_mesh(
-    corpus: OpenCorpus,
+    corpus: MotionDataset,
     identity: int,
     topology: str,
     length_scale: float,
@@ -105,11 +107,12 @@ def prepare_mesh(
         positions=torch.from_numpy(mesh.vertices).to(device),
         operators=operators.to(dtype=torch.float32, device=str(device)),
         lip_mask=torch.from_numpy(mesh.lip_mask).to(device),
+        dataset=mesh.dataset,
     )
 
 
 def prepare_meshes(
-    corpus: OpenCorpus,
+    corpus: MotionDataset,
     split: str,
     count: int,
     max_vertices: int,
@@ -118,7 +121,7 @@ def prepare_meshes(
     cache_dir: str,
     device: torch.device,
 ) -> list[PreparedMesh]:
-    """Faces of a split, meshings in turn and identities spread over them.
+    """Faces of a split, in the order of ``corpus.faces``.
 
     Args:
         corpus: where they come from.
@@ -130,21 +133,9 @@ def prepare_meshes(
         cache_dir: folder of operators, empty for the user's cache.
         device: where the tensors go.
     """
-    sizes = {str(t["name"]): int(t["num_vertices"]) for t in corpus.manifest["topologies"]}
-    topologies = [
-        name
-        for name in corpus.topologies(split)
-        if max_vertices <= 0 or sizes[name] <= max_vertices
-    ]
-    identities = corpus.identities(split)
-    if not topologies or not identities:
-        raise ValueError(f"the corpus has no faces or no meshings in its {split} split")
-    # Round r pairs meshing j with identity r + j: every prefix is spread over both.
-    pairs = [
-        (identities[(turn + column) % len(identities)], topology)
-        for turn in range(len(identities))
-        for column, topology in enumerate(topologies)
-    ]
+    pairs = corpus.faces(split, max_vertices)
+    if not pairs:
+        raise ValueError(f"{corpus.name} has no faces or no meshings in its {split} split")
     return [
         prepare_mesh(corpus, identity, topology, length_scale, k_eig, cache_dir, device)
         for identity, topology in tqdm(

@@ -1,0 +1,232 @@
+"""Lists of vertices as research code stores them: ``.npy``, ``.txt``, ``.json``, ``.mat``, ``.pkl``."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from freetalk.data.dataset import NUM_LANDMARKS, FloatArray
+from freetalk.data.errors import DatasetError, VertexCountError
+from freetalk.data.safe_pickle import load_pickle, read_pickle
+
+IndexArray = npt.NDArray[np.int64]
+SUFFIXES = (".json", ".txt", ".npy", ".npz", ".mat", ".pkl")
+_HASH_DIGITS = 16
+
+
+def index_hash(indices: npt.NDArray[Any]) -> str:
+    """The first 16 hex digits of the SHA-256 of little-endian 64-bit integers, row by row.
+
+    The order counts: masks are hashed sorted and without repetition, landmarks as they are, faces as
+    the mesh file has them.
+    """
+    data = np.ascontiguousarray(indices, dtype="<i8").tobytes()
+    return hashlib.sha256(data).hexdigest()[:_HASH_DIGITS]
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """The 68 points of a template, each a weighted mean of up to three vertices.
+
+    Attributes:
+        vertices: (68, 3) int64; three times the same where a landmark is a vertex.
+        weights: (68, 3) float32, sum 1.
+        source: file that says so.
+    """
+
+    vertices: IndexArray
+    weights: FloatArray
+    source: str
+
+    def of(self, points: FloatArray) -> FloatArray:
+        """Landmarks (..., 68, 3) of vertices (..., V, 3)."""
+        corners = points[..., self.vertices, :]  # (..., 68, 3, 3)
+        return np.einsum("...kcd,kc->...kd", corners, self.weights).astype(np.float32)
+
+    @property
+    def indices(self) -> IndexArray:
+        """(68,) the vertex that counts most in each landmark."""
+        rows = np.arange(len(self.vertices))
+        chosen: IndexArray = self.vertices[rows, self.weights.argmax(axis=1)]
+        return chosen
+
+    def describe(self) -> dict[str, Any]:
+        """File, count and hash, as results name them."""
+        exact = bool((self.vertices == self.vertices[:, :1]).all())
+        key = self.indices if exact else np.rint(self.weights * 1e6)
+        both = np.concatenate([self.vertices.ravel(), np.asarray(key).ravel()])
+        found = index_hash(self.indices if exact else both)
+        return {"source": self.source, "count": len(self.vertices), "sha256": found}
+
+
+@dataclass(frozen=True)
+class Mask:
+    """A set of vertices, such as the lips.
+
+    Attributes:
+        indices: (N,) int64, rising.
+        source: file that says so.
+    """
+
+    indices: IndexArray
+    source: str
+
+    def flags(self, num_vertices: int) -> npt.NDArray[np.bool_]:
+        """(V,) bool."""
+        flags = np.zeros(num_vertices, dtype=bool)
+        flags[self.indices] = True
+        return flags
+
+    def describe(self) -> dict[str, Any]:
+        """File, count and hash, as results name them."""
+        found = index_hash(self.indices)
+        return {"source": self.source, "count": len(self.indices), "sha256": found}
+
+
+def read_mask(path: Path, num_vertices: int, parts: tuple[str, ...] = ()) -> Mask:
+    """A mask of indices or of flags.
+
+    Args:
+        path: the file; a ``.mat`` counts from 1, as MATLAB does.
+        num_vertices: V of the template.
+        parts: keys of a file with several regions (``FLAME_masks.pkl``) to be united.
+
+    Raises:
+        DatasetError: not readable, empty, or no such part.
+        VertexCountError: an index beyond the template's vertices.
+    """
+    content = _content(path)
+    if isinstance(content, dict):
+        regions = [content[part] for part in parts if part in content]
+        if not regions:
+            names = ", ".join(map(str, content))
+            raise DatasetError(f"{path} has the regions {names}; needed is one of {parts}")
+        values = np.concatenate([np.asarray(region).ravel() for region in regions])
+    else:
+        values = np.asarray(content).ravel()
+    if values.dtype == bool and len(values) == num_vertices:
+        values = np.flatnonzero(values)
+    indices = np.unique(_integers(values, path))
+    _check_range(indices, num_vertices, path)
+    if len(indices) == 0:
+        raise DatasetError(f"{path} names no vertex")
+    return Mask(indices, str(path))
+
+
+def read_landmarks(path: Path, faces: npt.NDArray[Any], num_vertices: int) -> Landmarks:
+    """The 68 landmarks: vertex indices in iBUG order, or points on faces as FLAME's embeddings.
+
+    Understood are 68 indices, a mapping with ``landmarks`` (as ``freetalk mesh landmarks`` writes),
+    one with ``lmk_face_idx`` and ``lmk_b_coords`` of 68 rows, and DECA's ``landmark_embedding.npy``
+    (``full_lmk_faces_idx``, ``full_lmk_bary_coords``).
+
+    Raises:
+        DatasetError: not readable, or other than 68 landmarks.
+        VertexCountError: an index beyond the template's.
+    """
+    content = _content(path)
+    if isinstance(content, dict):
+        for face_key, weight_key in (
+            ("lmk_face_idx", "lmk_b_coords"),
+            ("full_lmk_faces_idx", "full_lmk_bary_coords"),
+        ):
+            if face_key in content and weight_key in content:
+                return _embedded(content[face_key], content[weight_key], faces, path)
+        if "landmarks" not in content:
+            raise DatasetError(
+                f"{path} names no landmarks; it holds {', '.join(map(str, content))}"
+            )
+        if int(content.get("vertices", num_vertices)) != num_vertices:
+            raise VertexCountError(
+                f"{path} is of a mesh with {content['vertices']} vertices, the template has "
+                f"{num_vertices}"
+            )
+        content = content["landmarks"]
+    indices = _integers(np.asarray(content).ravel(), path)
+    _check_count(len(indices), path)
+    _check_range(indices, num_vertices, path)
+    weights = np.zeros((NUM_LANDMARKS, 3), dtype=np.float32)
+    weights[:, 0] = 1
+    return Landmarks(np.repeat(indices[:, None], 3, axis=1), weights, str(path))
+
+
+def _embedded(face_rows: Any, weights: Any, faces: npt.NDArray[Any], path: Path) -> Landmarks:
+    rows = _integers(np.asarray(face_rows).ravel(), path)
+    _check_count(len(rows), path)
+    _check_range(rows, len(faces), path, "faces")
+    shares = np.asarray(weights, dtype=np.float32).reshape(-1, 3)
+    if len(shares) != len(rows) or np.abs(shares.sum(axis=1) - 1).max() > 1e-3:
+        raise DatasetError(
+            f"{path}: {shares.shape} barycentric weights do not fit {len(rows)} faces"
+        )
+    return Landmarks(np.asarray(faces, dtype=np.int64)[rows], shares, str(path))
+
+
+def _content(path: Path) -> Any:
+    """What a file holds: an array, a list or a mapping."""
+    if path.suffix == ".json":
+        return json.loads(path.read_text())
+    if path.suffix == ".txt":
+        text = re.sub(r"#[^\n]*", " ", path.read_text())
+        try:
+            return np.array([int(word) for word in re.split(r"[\s,;]+", text) if word])
+        except ValueError as error:
+            raise DatasetError(f"{path} is no list of whole numbers: {error}") from error
+    if path.suffix == ".pkl":
+        return load_pickle(path)
+    if path.suffix == ".mat":
+        from scipy.io import loadmat  # only these files need SciPy
+
+        arrays = [v for k, v in loadmat(path).items() if not k.startswith("__")]
+        if len(arrays) != 1:
+            raise DatasetError(f"{path} holds {len(arrays)} arrays; expected one of indices")
+        return _integers(np.asarray(arrays[0]).ravel(), path) - 1
+    if path.suffix == ".npz":
+        with np.load(path, allow_pickle=False) as archive:
+            names = archive.files
+            return archive[names[0]] if len(names) == 1 else {name: archive[name] for name in names}
+    return _npy(path)
+
+
+def _npy(path: Path) -> Any:
+    """A ``.npy``; one that holds a pickled object is read by the restricted unpickler."""
+    with path.open("rb") as file:
+        version = np.lib.format.read_magic(file)
+        read = np.lib.format.read_array_header_1_0
+        if version != (1, 0):
+            read = np.lib.format.read_array_header_2_0
+        _, _, dtype = read(file)
+        if not dtype.hasobject:
+            return np.load(path, allow_pickle=False)
+        held = read_pickle(file, str(path))
+    return held.item() if isinstance(held, np.ndarray) and held.shape == () else held
+
+
+def _integers(values: npt.NDArray[Any], path: Path) -> IndexArray:
+    whole = np.asarray(values)
+    if whole.dtype.kind not in "iuf" or not np.array_equal(whole, np.floor(whole)):
+        raise DatasetError(f"{path} holds {whole.dtype} values; expected whole numbers")
+    return whole.astype(np.int64)
+
+
+def _check_count(count: int, path: Path) -> None:
+    if count != NUM_LANDMARKS:
+        raise DatasetError(
+            f"{path} names {count} landmarks; expected {NUM_LANDMARKS} in iBUG order "
+            "(17 jaw, 10 brows, 9 nose, 12 eyes, 20 lips)"
+        )
+
+
+def _check_range(indices: IndexArray, limit: int, path: Path, what: str = "vertices") -> None:
+    if len(indices) and not 0 <= indices.min() <= indices.max() < limit:
+        raise VertexCountError(
+            f"{path} names {what} from {indices.min()} to {indices.max()}, the template has {limit}; "
+            "the file belongs to another mesh, or counts from 1"
+        )

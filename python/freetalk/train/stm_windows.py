@@ -1,0 +1,141 @@
+"""Windows of motion on the faces that they can move: any face of the open corpus, else the recorded one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from freetalk.data import MixedDataset, MotionDataset, MotionSequence, OpenCorpus
+from freetalk.train.sampling import SequenceSampler
+from freetalk.train.stm_meshes import PreparedMesh, random_weights
+
+FloatArray = npt.NDArray[np.float32]
+_Key = tuple[str, int, str]
+
+
+@dataclass(frozen=True)
+class Window:
+    """Motion of consecutive frames on one face.
+
+    Attributes:
+        mesh: index of the face.
+        landmarks: (T, 68, 3) displacements, m.
+        target: (T, V, 3) displacements of the face's vertices, m.
+    """
+
+    mesh: int
+    landmarks: FloatArray
+    target: FloatArray
+
+
+class FaceWindows:
+    """Draws windows from the sequences of a split that can move one of the prepared faces.
+
+    Args:
+        corpus: where sequences and vertices come from.
+        meshes: the faces.
+        split: of the sequences.
+        source_weights: share of each source; ``random`` is drawn combinations of the open corpus's
+            expressions. Empty takes all sources in proportion to their length.
+        frames: T.
+
+    Raises:
+        ValueError: no sequence can move any of the faces, or ``random`` without the open corpus.
+    """
+
+    def __init__(
+        self,
+        corpus: MotionDataset,
+        meshes: Sequence[PreparedMesh],
+        split: str,
+        source_weights: dict[str, float],
+        frames: int,
+    ) -> None:
+        self.corpus, self.frames = corpus, frames
+        self._meshes = list(meshes)
+        self._by_key: dict[_Key, list[int]] = {}
+        for index, mesh in enumerate(self._meshes):
+            for key in ((mesh.dataset, -1, ""), (mesh.dataset, mesh.identity, mesh.topology)):
+                self._by_key.setdefault(key, []).append(index)
+        weights = dict(source_weights)
+        total = sum(weights.values())
+        self._random_share = weights.pop("random", 0.0) / total if total else 0.0
+        movable = [s for s in corpus.sequences(split) if _key(s) in self._by_key]
+        if not movable:
+            raise ValueError(
+                f"no {split} sequence of {corpus.name} moves one of the {len(self._meshes)} faces "
+                "taken; raise task.num_meshes or task.max_vertices"
+            )
+        self.sampler = SequenceSampler(movable, weights)
+        self._of_mesh: dict[int, SequenceSampler] = {}
+        if self._random_share > 0:
+            self._prepare_expressions()
+
+    def draw(self, rng: np.random.Generator) -> Window:
+        """A window of a drawn sequence, or of drawn expressions, on a face that it moves."""
+        if rng.random() < self._random_share:
+            return self._drawn_expressions(rng)
+        sequence = self.sampler.draw(rng)
+        fitting = self._by_key[_key(sequence)]
+        return self.of(sequence, fitting[int(rng.integers(len(fitting)))], rng)
+
+    def draw_on(self, mesh: int, rng: np.random.Generator) -> Window:
+        """A window of a drawn sequence on a given face."""
+        return self.of(self._sampler_of(mesh).draw(rng), mesh, rng)
+
+    def first_on(self, mesh: int) -> MotionSequence:
+        """The first sequence that moves a face."""
+        return self._sampler_of(mesh).sequences[0]
+
+    def of(self, sequence: MotionSequence, mesh: int, rng: np.random.Generator) -> Window:
+        """A window at a drawn place of a sequence."""
+        start = int(rng.integers(0, max(1, sequence.num_frames - self.frames + 1)))
+        stop = start + self.frames
+        topology = self._meshes[mesh].topology
+        return Window(
+            mesh,
+            self.corpus.landmarks(sequence, start, stop),
+            self.corpus.vertex_displacements(topology, sequence, start, stop),
+        )
+
+    def _sampler_of(self, mesh: int) -> SequenceSampler:
+        if mesh not in self._of_mesh:
+            own = [s for s in self.sampler.sequences if mesh in self._by_key[_key(s)]]
+            if not own:
+                face = self._meshes[mesh]
+                raise ValueError(f"no sequence moves {face.topology} of identity {face.identity}")
+            self._of_mesh[mesh] = SequenceSampler(own, {})
+        return self._of_mesh[mesh]
+
+    def _prepare_expressions(self) -> None:
+        parts = self.corpus.parts if isinstance(self.corpus, MixedDataset) else {"": self.corpus}
+        found = [(name, p) for name, p in parts.items() if isinstance(p, OpenCorpus)]
+        key = (found[0][0] or found[0][1].name, -1, "") if found else ("", -1, "")
+        if key not in self._by_key:
+            raise ValueError(
+                "task.source_weights asks for random expressions, which only faces of the open corpus "
+                "can show; add it with --data, or leave 'random' out"
+            )
+        self._prefix = f"{found[0][0]}/" if found[0][0] else ""
+        self._expressive, self._faces = found[0][1], self._by_key[key]
+        self._basis, determined = self._expressive.landmark_basis()
+        self._drawable = np.flatnonzero(determined)
+
+    def _drawn_expressions(self, rng: np.random.Generator) -> Window:
+        names = self._expressive.expressions
+        weights = random_weights(rng, self.frames, len(names), self._drawable)
+        mesh = self._faces[int(rng.integers(len(self._faces)))]
+        topology = self._meshes[mesh].topology.removeprefix(self._prefix)
+        target = self._expressive.displacements_of(topology, weights)
+        landmarks = np.tensordot(weights, self._basis, axes=1).astype(np.float32)
+        return Window(mesh, landmarks, target)
+
+
+def _key(sequence: MotionSequence) -> _Key:
+    """Which faces a sequence moves: those of its dataset, or the one it was recorded on."""
+    if sequence.topology is None:
+        return (sequence.dataset, -1, "")
+    return (sequence.dataset, sequence.identity, sequence.topology)
