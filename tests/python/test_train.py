@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +16,7 @@ from freetalk.speech import SpeechEncoder
 from freetalk.stm import Stm
 from freetalk.train import load_config, motion_loss, run
 from freetalk.train.augment import augment_wave, change_speed
-from freetalk.train.draws import Draws, step_seed
+from freetalk.train.draws import Draws
 from freetalk.train.sampling import SequenceSampler
 from freetalk.train.speech_targets import SpeechTargets, log_mel
 from freetalk.train.stm_meshes import Placement, random_placement
@@ -186,10 +183,6 @@ def test_augmentation_is_finite_and_repeats(corpus: Path) -> None:
         np.testing.assert_array_equal(once, again)
 
 
-def test_step_seeds_differ() -> None:
-    assert len({step_seed(seed, step) for seed in range(10) for step in range(1000)}) == 10_000
-
-
 def test_placement_moves_points_and_turns_displacements() -> None:
     rng = np.random.default_rng(3)
     placement = random_placement(rng, 5.0, 0.006, 0.06, torch.device("cpu"))
@@ -261,34 +254,6 @@ def test_a_stopped_run_ends_with_the_same_weights(
     )
     for name, value in whole.items():
         assert torch.equal(value, parts[name]), name
-
-
-def test_a_killed_process_goes_on_where_its_checkpoint_was(corpus: Path, tmp_path: Path) -> None:
-    script = (
-        "import os, sys; from freetalk.train import run, loop\n"
-        "step = loop.Trainer._train_step\n"
-        "def killed(self, draws):\n"
-        "    if self.step == 4: os.kill(os.getpid(), 9)\n"
-        "    return step(self, draws)\n"
-        "if sys.argv[1] == 'kill': loop.Trainer._train_step = killed\n"
-        f"run('stm', {str(CONFIGS / 'stm_smoke.yaml')!r}, {QUICK!r} + ['loop.max_steps=6',"
-        f"'loop.checkpoint_every=3', 'loop.validate_every=0'], {str(corpus)!r}, sys.argv[2])"
-    )
-    environment = {**os.environ, "FREETALK_CACHE": str(tmp_path / "operators")}
-    for mode, out, code in (("kill", "a", -9), ("go", "a", 0), ("go", "b", 0)):
-        done = subprocess.run(
-            [sys.executable, "-c", script, mode, str(tmp_path / out)],
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode == code, done.stderr
-    first, second = (
-        weights(tmp_path / out / "checkpoints" / "stm" / "step_0000006", "training")
-        for out in ("a", "b")
-    )
-    assert all(torch.equal(value, second[name]) for name, value in first.items())
 
 
 def test_another_model_does_not_continue_a_run(corpus: Path, tmp_path: Path) -> None:

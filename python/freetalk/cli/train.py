@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 
 from freetalk.cli.outputs import check_readable, check_writable
@@ -12,8 +13,10 @@ def run(arguments: argparse.Namespace) -> None:
     """Trains a model; continues when the output folder holds an unfinished run."""
     if Path(arguments.config).suffix:  # otherwise the name of a shipped one
         check_readable(arguments.config, "a configuration (YAML)")
-    if not Path(arguments.data).is_dir():
-        raise OSError(f"'{arguments.data}' is no folder: give a corpus ('freetalk corpus build')")
+    for spec in arguments.data:
+        path = spec if Path(spec).exists() else spec.rpartition("=")[2]
+        if not Path(path).is_dir():
+            raise OSError(f"'{path}' is no folder: give a corpus ('freetalk corpus build')")
     for override in arguments.overrides:
         if "=" not in override:
             raise ValueError(f"'{override}' is not understood: write section.key=value")
@@ -23,6 +26,8 @@ def run(arguments: argparse.Namespace) -> None:
     result = train.run(
         arguments.kind, arguments.config, arguments.overrides, arguments.data, arguments.out
     )
+    if int(os.environ.get("RANK", "0")) > 0:  # of several processes one speaks
+        return
     scores = ", ".join(f"{name} {value:.4g}" for name, value in result.scores.items())
     print(f"{result.status} at step {result.step}: {scores or 'no validation yet'}")
     print(f"weights in {result.directory}")

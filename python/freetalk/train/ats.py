@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
+from tqdm import tqdm
 
 from freetalk._pretrained import PRETRAINED
-from freetalk.ats import Ats, AtsOptions
-from freetalk.data import NUM_LANDMARKS, MotionSequence, OpenCorpus
+from freetalk.ats import Ats, AtsOptions, GenerateOptions, generate
+from freetalk.data import NUM_LANDMARKS, MotionDataset, MotionSequence
 from freetalk.data.landmarks import INNER_LIP_PAIRS, LIPS, LOWER_INNER_LIP, UPPER_INNER_LIP
 from freetalk.diffusion import Schedule, ScheduleOptions
 from freetalk.train.checkpoint import export_model
@@ -20,10 +21,14 @@ from freetalk.train.config import AtsTaskOptions, TrainingConfig
 from freetalk.train.features import FeatureCache
 from freetalk.train.initial import initial_weights
 from freetalk.train.losses import motion_counts, motion_loss
+from freetalk.train.samples import MeanFace, Sample
 from freetalk.train.sampling import SequenceSampler, numpy_generator
 from freetalk.train.speech_targets import interpolate_frames
 
 _VALIDATION_SEED = 30
+#: Frames and denoising steps of a sample to look at.
+_SAMPLE_FRAMES = 90
+_SAMPLE_STEPS = 25
 _VALIDATION_TIMESTEPS = (0.15, 0.5, 0.85, 1.0)
 #: Smallest spread that a coordinate is divided by, relative to the mean one.
 _SPREAD_FLOOR = 0.15
@@ -36,13 +41,15 @@ class AtsTask:
     """Windows of motion with their speech features; the denoiser restores them from noise."""
 
     def __init__(
-        self, config: TrainingConfig, corpus: OpenCorpus, out: Path, device: torch.device
+        self, config: TrainingConfig, corpus: MotionDataset, out: Path, device: torch.device
     ) -> None:
         assert isinstance(config.task, AtsTaskOptions)
         self.options = config.task
         self.corpus = corpus
         self.batch_size = config.loop.batch_size
         self.device = device
+        self._out = out
+        self._face: MeanFace | None = None
         train = _audible(corpus.sequences("train"))
         self.sampler = SequenceSampler(train, self.options.source_weights)
         sources = {s.source for s in self.sampler.sequences}
@@ -57,9 +64,10 @@ class AtsTask:
             self.options.feature_augmentations,
             device,
         )
-        self._motion = {
-            s.id: corpus.landmarks(s) for s in [*self.sampler.sequences, *self.held_out]
-        }
+        # Every frame is looked at once, so that what is wrong with one is told before, not at night.
+        every = [*self.sampler.sequences, *self.held_out]
+        for sequence in tqdm(every, desc="landmarks", unit="take", leave=False):
+            corpus.landmarks(sequence, 0, 1)
         fields = {"audio_dim": self.features.width, **config.model}
         if fields["audio_dim"] != self.features.width:
             raise ValueError(
@@ -155,9 +163,38 @@ class AtsTask:
             "options": self.model.options.to_dict(),
             "emotions": list(self.corpus.emotions),
             "fps": self.corpus.fps,
-            "training": training,
+            "training": {**training, "data": self.corpus.describe()},
         }
         export_model(directory, config, dict(self.model.state_dict()), keep_float32="motion_")
+
+    def sample(self) -> Sample:
+        """The mean face speaking the first held-out take with sound, and its true motion."""
+        sequence = next((s for s in self.held_out if s.audio is not None), self.held_out[0])
+        copy = self.features.copies(sequence)[0]
+        features = torch.from_numpy(self.features.features(copy, 0, _SAMPLE_FRAMES))
+        emotion = torch.zeros(len(self.corpus.emotions))
+        emotion[sequence.emotion] = 1.0
+        motion = generate(
+            self.model,
+            features.to(self.device),
+            emotion=emotion.to(self.device),
+            intensity=float(sequence.intensity),
+            options=GenerateOptions(num_steps=_SAMPLE_STEPS),
+            seed=_VALIDATION_SEED,
+        )
+        if self._face is None:
+            self._face = MeanFace(self._out / "stm", self.device)
+        true = torch.from_numpy(self.corpus.landmarks(sequence, 0, len(features)))
+        rate = self.corpus.sample_rate_hz
+        return Sample(
+            vertices=self._face.vertices,
+            faces=self._face.faces,
+            predicted=self._face.moved(motion),
+            true=self._face.moved(true),
+            fps=sequence.fps,
+            audio=self.corpus.audio(sequence)[: round(len(features) / sequence.fps * rate)],
+            sample_rate_hz=rate,
+        )
 
     def _terms(self, batch: dict[str, Any], step: Tensor, noise: Tensor) -> dict[str, Tensor]:
         o = self.options
@@ -209,7 +246,9 @@ class AtsTask:
         start = int(rng.integers(0, max(1, copy.num_frames - length + 1)))
         audio = self.features.features(copy, start, start + length)
         frames = (start + np.arange(len(audio))) * copy.speed
-        motion = interpolate_frames(self._motion[sequence.id], frames)
+        first, stop = int(frames[0]), int(frames[-1]) + 2
+        near = self.corpus.landmarks(sequence, first, stop)
+        motion = interpolate_frames(near, frames - first)
         if altered and rng.random() < self.options.pause_cuts:
             kept = without_pauses(motion)
             audio, motion = audio[kept], motion[kept]
@@ -252,7 +291,7 @@ class AtsTask:
     def _statistics(self) -> tuple[Tensor, Tensor]:
         """Mean and spread of each coordinate over what the sampler draws."""
         rng = np.random.default_rng(_VALIDATION_SEED)
-        drawn = [self._motion[self.sampler.draw(rng).id] for _ in range(600)]
+        drawn = [self.corpus.landmarks(self.sampler.draw(rng)) for _ in range(600)]
         frames = np.concatenate([m[rng.integers(0, len(m), 100)] for m in drawn])
         frames = frames.reshape(len(frames), -1)
         spread = frames.std(axis=0)

@@ -66,8 +66,17 @@ class Engine:
         if self.device.type == "cuda":
             torch.cuda.set_device(self.device)
 
-    def prepare(self, module: nn.Module) -> nn.Module:
-        """The module that averages gradients over the processes."""
+    def prepare(self, module: nn.Module, skips_layers: bool = False) -> nn.Module:
+        """The module that averages gradients over the processes.
+
+        Args:
+            module: its forward pass is all that a backward pass sees.
+            skips_layers: whether a pass may leave parameters out (layer drop).
+        """
+        from accelerate import DistributedDataParallelKwargs
+
+        settings = DistributedDataParallelKwargs(find_unused_parameters=skips_layers)
+        self._accelerator.ddp_handler = settings
         prepared: nn.Module = self._accelerator.prepare_model(module)
         return prepared
 
@@ -105,15 +114,20 @@ class Engine:
 
     def to_device(self, batch: Any) -> Any:
         """Tensors of nested containers on this process's device; copies to a GPU do not wait."""
-        if isinstance(batch, Tensor):
-            if self.device.type == "cuda" and not batch.is_cuda:
-                return batch.pin_memory().to(self.device, non_blocking=True)
-            return batch.to(self.device)
-        if isinstance(batch, dict):
-            return {key: self.to_device(value) for key, value in batch.items()}
-        if isinstance(batch, list):
-            return [self.to_device(value) for value in batch]
-        return batch
+        return moved(batch, self.device)
+
+
+def moved(batch: Any, device: torch.device) -> Any:
+    """Nested dictionaries and lists with their tensors on a device."""
+    if isinstance(batch, Tensor):
+        if device.type == "cuda" and not batch.is_cuda:
+            return batch.pin_memory().to(device, non_blocking=True)
+        return batch.detach().to(device)
+    if isinstance(batch, dict):
+        return {key: moved(value, device) for key, value in batch.items()}
+    if isinstance(batch, list):
+        return [moved(value, device) for value in batch]
+    return batch
 
 
 def choose_device(options: LoopOptions) -> torch.device:
@@ -131,19 +145,17 @@ def choose_device(options: LoopOptions) -> torch.device:
 
 def _accelerator(device: torch.device) -> Any:
     try:
-        from accelerate import Accelerator, DistributedDataParallelKwargs, InitProcessGroupKwargs
+        from accelerate import Accelerator, InitProcessGroupKwargs
         from accelerate.utils import DistributedType
     except ImportError as error:
         raise RuntimeError(
             f"training needs accelerate ({error}); install it with: pip install 'freetalk[train]'"
         ) from None
-    # Precision is this module's: accelerate keeps its own for the life of the interpreter. Its buffers are
-    # constants here, and a speech encoder's heads or a null input may see no gradient in a step.
-    settings = DistributedDataParallelKwargs(broadcast_buffers=False, find_unused_parameters=True)
+    # Precision is this module's: accelerate keeps its own for the life of the interpreter.
     accelerator = Accelerator(
         cpu=device.type == "cpu",
         mixed_precision="no",
-        kwargs_handlers=[settings, InitProcessGroupKwargs(timeout=_PATIENCE)],
+        kwargs_handlers=[InitProcessGroupKwargs(timeout=_PATIENCE)],
     )
     if accelerator.device.type != device.type:
         raise RuntimeError(

@@ -27,11 +27,10 @@ from freetalk.train.checkpoint import (
     git_commit,
     load_checkpoint,
     save_checkpoint,
-    write_json,
 )
 from freetalk.train.config import LoopOptions, TrainingConfig
 from freetalk.train.draws import Batch, Draws, step_seed
-from freetalk.train.engine import Engine
+from freetalk.train.engine import Engine, moved
 from freetalk.train.progress import Progress
 from freetalk.train.samples import ShowsSamples, save_sample
 from freetalk.train.weights import Average, parameter_groups
@@ -93,7 +92,8 @@ class Trainer:
         self.command = command
         self.engine = engine or Engine(config.loop)
         self.checkpoints = out / "checkpoints" / config.kind
-        self.module = self.engine.prepare(_Loss(task))
+        skips_layers = float(config.model.get("layerdrop", 0.0)) > 0
+        self.module = self.engine.prepare(_Loss(task), skips_layers)
         self.optimizer = torch.optim.AdamW(
             parameter_groups(task.model, self.options.weight_decay),
             lr=self.options.learning_rate,
@@ -208,7 +208,7 @@ class Trainer:
         bad = [b for b, p in zip(batches, passes) if not torch.isfinite(p["loss"])] or batches
         rank = f"_{self.engine.rank}" if self.engine.rank else ""
         path = self.out / f"failed_batch_{self.config.kind}{rank}.pt"
-        torch.save(_on_cpu(bad[0] if len(bad) == 1 else bad), path)
+        torch.save(moved(bad[0] if len(bad) == 1 else bad, torch.device("cpu")), path)
         shown = ", ".join(f"{name} {value}" for name, value in found.items())
         raise RuntimeError(
             f"step {self.step} of {self.config.kind} is not finite ({shown}); its batch is saved as "
@@ -260,10 +260,12 @@ class Trainer:
 
     def _render(self, progress: Progress) -> None:
         if self.engine.is_main and isinstance(self.task, ShowsSamples):
+            began = time.perf_counter()
             with self._evaluating():
                 sample = self.task.sample()
-            folder = self.out / "samples" / self.config.kind
-            progress.show_picture(self.step, save_sample(sample, folder / f"step_{self.step:07d}"))
+            path = self.out / "samples" / self.config.kind / f"step_{self.step:07d}"
+            picture = save_sample(sample, path)
+            progress.show_picture(self.step, picture, time.perf_counter() - began)
         self.engine.from_main(None)
 
     def _training_record(self) -> dict[str, Any]:
@@ -363,14 +365,6 @@ class _Loss(nn.Module):
         return self._loss(batch, generator)
 
 
-def _on_cpu(batch: Any) -> Any:
-    if isinstance(batch, Tensor):
-        return batch.detach().cpu()
-    if isinstance(batch, dict):
-        return {key: _on_cpu(value) for key, value in batch.items()}
-    return [_on_cpu(value) for value in batch] if isinstance(batch, list) else batch
-
-
 @contextmanager
 def _stop_requests(trainer: Trainer) -> Iterator[None]:
     """The first Ctrl-C (or SIGTERM) ends after the step, the second at once.
@@ -396,10 +390,3 @@ def _stop_requests(trainer: Trainer) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def write_run_record(out: Path, config: TrainingConfig, data: Path) -> None:
-    """Notes beside the weights what was asked for."""
-    out.mkdir(parents=True, exist_ok=True)
-    record = {"config": config.to_dict(), "data": str(data), "commit": git_commit()}
-    write_json(out / f"run_{config.kind}.json", record)

@@ -27,11 +27,12 @@ class Progress:
 
     def __init__(self, config: TrainingConfig, out: Path, step: int, shown: bool) -> None:
         self._options = config.loop
+        self._kind = config.kind
         self._shown = shown
         self._bar: Any = tqdm(
             total=1.0,
             desc=config.kind,
-            bar_format="{desc}: {percentage:3.0f}%|{bar}|{postfix}",
+            bar_format="{percentage:3.0f}%|{bar:20}| {desc}",
             dynamic_ncols=True,
             mininterval=0.0,
             disable=not shown,
@@ -79,8 +80,8 @@ class Progress:
                 self._writer.add_scalar(f"train/{name}", value, step)
         left = elapsed_s * (1 - done) / done
         self._bar.n = min(done, 1.0)
-        self._bar.set_postfix_str(
-            f"step {step}/{self._options.max_steps}, loss {terms['loss']:.4g}, {rate:.1f} items/s, "
+        self._bar.set_description_str(
+            f"{self._kind} step {step}/{self._options.max_steps}, loss {terms['loss']:.4g}, {rate:.1f} items/s, "
             f"{_clock(elapsed_s)} so far, {_clock(left)} left"
         )
         self._drawn_at = now
@@ -94,9 +95,10 @@ class Progress:
         tqdm.write(f"step {step}: {shown} ({seconds:.1f} s)", file=sys.stderr)
         self._seen_at += seconds  # not training
 
-    def show_picture(self, step: int, picture: npt.NDArray[np.uint8]) -> None:
+    def show_picture(self, step: int, picture: npt.NDArray[np.uint8], seconds: float) -> None:
         """Adds a picture (H, W, 3) of a sample."""
         self._writer.add_image("sample", picture, step, dataformats="HWC")
+        self._seen_at += seconds
 
 
 def _clock(seconds: float) -> str:

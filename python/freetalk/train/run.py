@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 
-from freetalk.data import OpenCorpus
+from freetalk.data import MotionDataset, OpenCorpus, open_datasets
+from freetalk.train.checkpoint import git_commit, write_json
 from freetalk.train.config import TrainingConfig, load_config
 from freetalk.train.engine import Engine
 from freetalk.train.initial import start_from
-from freetalk.train.loop import Task, Trainer, TrainingResult, write_run_record
+from freetalk.train.loop import Task, Trainer, TrainingResult
+from freetalk.viz import check_video_support
 
 
 def run(
-    kind: str, config_path: str | Path, overrides: list[str], data: str | Path, out: str | Path
+    kind: str,
+    config_path: str | Path,
+    overrides: list[str],
+    data: str | Path | Sequence[str | Path],
+    out: str | Path,
 ) -> TrainingResult:
     """Trains a model; an interrupted run continues when called again with the same `out`.
 
@@ -27,14 +34,14 @@ def run(
         kind: ``ats``, ``stm`` or ``speech``.
         config_path: YAML file with sections ``model``, ``loop`` and ``task``.
         overrides: ``section.key=value`` pairs that win over the file.
-        data: folder of the corpus.
+        data: folder of the data, or several as ``NAME=PATH`` (see ``freetalk.data.open_datasets``).
         out: folder to write to.
 
     Returns:
         How it ended.
 
     Raises:
-        ValueError: the configuration or the corpus is wrong.
+        ValueError: the configuration or the data is wrong.
         FileNotFoundError: a file is missing.
         RuntimeError: the loss or a gradient is not finite.
     """
@@ -42,19 +49,21 @@ def run(
     engine = Engine(config.loop)
     if config.loop.threads > 0:
         torch.set_num_threads(config.loop.threads)
-    corpus = OpenCorpus(data)
-    corpus.check()
+    if config.loop.render_every > 0 and engine.is_main:
+        check_video_support()
     out = Path(out)
     with engine.main_first():
+        corpus = open_datasets(data)
+        corpus.check()
         torch.manual_seed(config.loop.seed)  # initial weights
         task = make_task(config, corpus, out, engine.device)
     if engine.is_main:
-        write_run_record(out, config, Path(data))
+        _write_run_record(out, config, data, corpus)
     command = f"freetalk train {kind} --config {Path(config_path).name} --data CORPUS --out OUT"
     return Trainer(task, config, out, " ".join([command, *overrides]), engine).run()
 
 
-def make_task(config: TrainingConfig, corpus: OpenCorpus, out: Path, device: torch.device) -> Task:
+def make_task(config: TrainingConfig, corpus: MotionDataset, out: Path, device: torch.device) -> Task:
     """The task of a configuration's kind, its model on `device` with its initial weights."""
     task = _new_task(config, corpus, out, device)
     if config.task.init:
@@ -62,7 +71,7 @@ def make_task(config: TrainingConfig, corpus: OpenCorpus, out: Path, device: tor
     return task
 
 
-def _new_task(config: TrainingConfig, corpus: OpenCorpus, out: Path, device: torch.device) -> Task:
+def _new_task(config: TrainingConfig, corpus: MotionDataset, out: Path, device: torch.device) -> Task:
     # Each training imports only the rooms it needs.
     if config.kind == "ats":
         from freetalk.train.ats import AtsTask
@@ -72,6 +81,29 @@ def _new_task(config: TrainingConfig, corpus: OpenCorpus, out: Path, device: tor
         from freetalk.train.stm import StmTask
 
         return StmTask(config, corpus, out, device)
+    if not isinstance(corpus, OpenCorpus):
+        raise ValueError(
+            f"{corpus.name} has no phones and expression curves, which the speech encoder learns from; "
+            "train it on the open corpus ('freetalk corpus build')"
+        )
     from freetalk.train.speech import SpeechTask
 
     return SpeechTask(config, corpus, out, device)
+
+
+def _write_run_record(
+    out: Path,
+    config: TrainingConfig,
+    data: str | Path | Sequence[str | Path],
+    corpus: MotionDataset,
+) -> None:
+    """Notes beside the weights what was asked for, and what the data says of itself."""
+    out.mkdir(parents=True, exist_ok=True)
+    given = [str(data)] if isinstance(data, str | Path) else [str(one) for one in data]
+    record = {
+        "config": config.to_dict(),
+        "data": given,
+        "datasets": corpus.describe(),
+        "commit": git_commit(),
+    }
+    write_json(out / f"run_{config.kind}.json", record)

@@ -68,7 +68,8 @@ class MeanFace:
         trained = (weights / "config.json").is_file()
         self._stm = Stm.from_pretrained(weights if trained else PRETRAINED / "open-small" / "stm")
         self._stm = self._stm.to(device)
-        self.vertices, self.faces = mean_face("face")
+        self.vertices, faces = mean_face("face")
+        self.faces = faces.astype(np.int64)
         scale = self._stm.options.length_scale
         operators = surface_operators(
             self.vertices.astype(np.float64) / scale, self.faces, k=self._stm.options.k_eig

@@ -6,26 +6,27 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from freetalk.data import OpenCorpus
+from freetalk.data import MotionDataset
 from freetalk.stm import Stm, StmOptions
 from freetalk.train.checkpoint import export_model
 from freetalk.train.config import StmTaskOptions, TrainingConfig
 from freetalk.train.losses import motion_loss
-from freetalk.train.sampling import SequenceSampler
+from freetalk.train.samples import Sample
 from freetalk.train.stm_meshes import (
     Placement,
     PreparedMesh,
     prepare_meshes,
     random_placement,
-    random_weights,
 )
+from freetalk.train.stm_windows import FaceWindows
 
 _VALIDATION_SEED = 40
 _VALIDATION_MESHES = 4
+#: Frames of a sample to look at.
+_SAMPLE_FRAMES = 90
 #: Mean square displacement (m^2) below which a window counts as this much: 1 mm.
 _RELATIVE_FLOOR = 0.001**2
 #: Rounds the cone of the vertex error's norm off (m).
@@ -38,27 +39,23 @@ class StmTask:
     """Windows of consecutive frames on randomly placed faces of many meshings."""
 
     def __init__(
-        self, config: TrainingConfig, corpus: OpenCorpus, out: Path, device: torch.device
+        self, config: TrainingConfig, corpus: MotionDataset, out: Path, device: torch.device
     ) -> None:
         assert isinstance(config.task, StmTaskOptions)
         self.options = config.task
         self.corpus = corpus
         self.batch_size = config.loop.batch_size
         self.device = device
-        weights = dict(self.options.source_weights)
-        total = sum(weights.values())
-        self._random_share = weights.pop("random", 0.0) / total if total else 0.0
-        self.sampler = SequenceSampler(corpus.sequences("train"), weights)
-        self.held_out = SequenceSampler(corpus.sequences("val"), {})
-        self._landmark_basis, determined = corpus.landmark_basis()
-        self._drawable = np.flatnonzero(determined)
         self.model = Stm(StmOptions.from_dict(config.model)).to(device)
         self.meshes = self._prepare("train", self.options.num_meshes, self.options.max_vertices)
         self._held_out_meshes = self._prepare("val", _VALIDATION_MESHES, 0)
+        shares, frames = self.options.source_weights, self.options.frames
+        self.windows = FaceWindows(corpus, self.meshes, "train", shares, frames)
+        self.held_out = FaceWindows(corpus, self._held_out_meshes, "val", {}, frames)
 
     def item(self, rng: np.random.Generator) -> dict[str, Any]:
         """A face, its place, and a window of motion."""
-        mesh = int(rng.integers(len(self.meshes)))
+        window = self.windows.draw(rng)
         placement = random_placement(
             rng,
             self.options.rotation_deg,
@@ -66,16 +63,14 @@ class StmTask:
             self.options.scale_range,
             torch.device("cpu"),
         )
-        weights, landmarks = self._window(rng)
-        noise = rng.standard_normal(landmarks.shape) * self.options.landmark_noise_m
-        true = self.corpus.displacements_of(self.meshes[mesh].topology, weights)
+        noise = rng.standard_normal(window.landmarks.shape) * self.options.landmark_noise_m
         return {
-            "mesh": mesh,
+            "mesh": window.mesh,
             "rotation": placement.rotation,
             "translation": placement.translation,
             "scale": placement.scale,
-            "landmarks": torch.from_numpy((landmarks + noise).astype(np.float32)),
-            "target": torch.from_numpy(true),
+            "landmarks": torch.from_numpy((window.landmarks + noise).astype(np.float32)),
+            "target": torch.from_numpy(window.target),
         }
 
     def collate(self, items: list[dict[str, Any]]) -> dict[str, Any]:
@@ -100,15 +95,12 @@ class StmTask:
         sums = np.zeros(4)
         per_mesh = max(1, self.options.validation_windows // len(self._held_out_meshes))
         still = Placement(torch.eye(3, device=self.device), torch.zeros(3, device=self.device), 1.0)
-        for mesh in self._held_out_meshes:
+        for index, mesh in enumerate(self._held_out_meshes):
             for _ in range(per_mesh):
-                sequence = self.held_out.draw(rng)
-                start = int(rng.integers(0, max(1, sequence.num_frames - self.options.frames)))
-                stop = start + self.options.frames
-                landmarks = torch.from_numpy(self.corpus.landmarks(sequence, start, stop))
-                true = self.corpus.vertex_displacements(mesh.topology, sequence, start, stop)
-                prediction = self._predict(mesh, landmarks.to(self.device), still)
-                target = torch.from_numpy(true).to(self.device)
+                window = self.held_out.draw_on(index, rng)
+                landmarks = torch.from_numpy(window.landmarks).to(self.device)
+                prediction = self._predict(mesh, landmarks, still)
+                target = torch.from_numpy(window.target).to(self.device)
                 error, motion = (prediction - target).norm(dim=-1), target.norm(dim=-1)
                 lips = mesh.lip_mask
                 sums += [
@@ -130,9 +122,31 @@ class StmTask:
             "format": "freetalk-stm",
             "version": 1,
             "options": self.model.options.to_dict(),
-            "training": training,
+            "training": {**training, "data": self.corpus.describe()},
         }
         export_model(directory, config, dict(self.model.state_dict()))
+
+    def sample(self) -> Sample:
+        """The first held-out face moving as the first held-out take, and as it should."""
+        mesh = self._held_out_meshes[0]
+        sequence = self.held_out.first_on(0)
+        frames = min(_SAMPLE_FRAMES, sequence.num_frames)
+        landmarks = torch.from_numpy(self.corpus.landmarks(sequence, 0, frames)).to(self.device)
+        still = Placement(torch.eye(3, device=self.device), torch.zeros(3, device=self.device), 1.0)
+        parts = [self._predict(mesh, part, still) for part in landmarks.split(self.options.frames)]
+        face = self.corpus.mesh(mesh.identity, mesh.topology)
+        sound = sequence.audio is not None
+        rate = self.corpus.sample_rate_hz
+        audio = self.corpus.audio(sequence) if sound else np.zeros(0, np.float32)
+        return Sample(
+            vertices=face.vertices,
+            faces=face.faces,
+            predicted=torch.cat(parts).cpu().numpy(),
+            true=self.corpus.vertex_displacements(mesh.topology, sequence, 0, frames),
+            fps=sequence.fps,
+            audio=audio[: round(frames / sequence.fps * rate)],
+            sample_rate_hz=rate,
+        )
 
     def _predict(self, mesh: PreparedMesh, landmarks: Tensor, placement: Placement) -> Tensor:
         """Predicted displacements of a window, (T, V, 3) m, of landmarks (T, 68, 3) m in place."""
@@ -166,20 +180,6 @@ class StmTask:
             terms["relative_error"] = norms.mean() / motion
             terms["loss"] = terms["loss"] + o.error_weight * terms["relative_error"]
         return terms
-
-    def _window(
-        self, rng: np.random.Generator
-    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        frames = self.options.frames
-        if rng.random() < self._random_share:
-            weights = random_weights(rng, frames, len(self.corpus.expressions), self._drawable)
-            return weights, np.tensordot(weights, self._landmark_basis, axes=1)
-        sequence = self.sampler.draw(rng)
-        start = int(rng.integers(0, max(1, sequence.num_frames - frames + 1)))
-        return (
-            self.corpus.weights(sequence, start, start + frames),
-            self.corpus.landmarks(sequence, start, start + frames),
-        )
 
     def _prepare(self, split: str, count: int, max_vertices: int) -> list[PreparedMesh]:
         options = self.model.options

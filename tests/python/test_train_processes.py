@@ -1,0 +1,156 @@
+"""Training shared out to processes, accumulated passes and half precision: the same training."""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from mini_corpus import write_mini_corpus
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from freetalk import _native
+from freetalk.train import load_config, motion_loss, run
+from freetalk.train.config import LoopOptions
+from freetalk.train.draws import step_seed
+from freetalk.train.engine import Engine, choose_device
+from freetalk.train.losses import motion_counts
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+# Enough to be quick on any machine, and a fixed sum order. Dropout is drawn per forward pass.
+SAME = ["loop.threads=1", "loop.device=cpu", "loop.validate_every=0", "loop.max_steps=4"]
+MODEL = {"ats": ["model.dropout=0", "task.feature_augmentations=0"], "stm": []}
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_mini_corpus(tmp_path_factory.mktemp("processes") / "corpus")
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FREETALK_CACHE", str(tmp_path_factory.getbasetemp() / "operators"))
+
+
+def losses(out: Path, kind: str) -> list[float]:
+    events = EventAccumulator(str(out / "tensorboard" / kind)).Reload()
+    return [event.value for event in events.Scalars("train/loss")]
+
+
+def weights(out: Path, kind: str) -> dict[str, torch.Tensor]:
+    folder = next((out / "checkpoints" / kind).glob("step_*"))
+    return dict(_native.core.load_safetensors(str(folder / "training.safetensors")))
+
+
+def assert_same_training(first: Path, second: Path, kind: str) -> None:
+    """Sums over items are taken in another order: float32 rounding, which Adam's division amplifies."""
+    assert losses(first, kind) == pytest.approx(losses(second, kind), rel=2e-5)
+    assert len(losses(first, kind)) == 4
+    there = weights(second, kind)
+    for name, value in weights(first, kind).items():
+        torch.testing.assert_close(value, there[name], atol=2e-4, rtol=1e-3, msg=name)
+
+
+@pytest.mark.parametrize("kind", ["ats", "stm"])
+def test_two_processes_train_as_one_does(kind: str, corpus: Path, tmp_path: Path) -> None:
+    options = [*SAME, *MODEL[kind]]
+    config = CONFIGS / f"{kind}_smoke.yaml"
+    run(kind, config, options, corpus, tmp_path / "one")
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc_per_node=2"]
+    command += ["-m", "freetalk.cli", "train", kind, "--config", str(config), "--data", str(corpus)]
+    done = subprocess.run(
+        [*command, "--out", str(tmp_path / "two"), *options],
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("finished at step 4") == 1
+    assert_same_training(tmp_path / "one", tmp_path / "two", kind)
+
+
+@pytest.mark.parametrize("kind", ["ats", "stm"])
+def test_accumulated_passes_train_as_one_pass_does(kind: str, corpus: Path, tmp_path: Path) -> None:
+    config = CONFIGS / f"{kind}_smoke.yaml"
+    for passes in (1, 2):
+        options = [*SAME, *MODEL[kind], f"loop.accumulation_steps={passes}"]
+        run(kind, config, options, corpus, tmp_path / str(passes))
+    assert_same_training(tmp_path / "1", tmp_path / "2", kind)
+
+
+def test_a_batch_that_does_not_divide_is_refused() -> None:
+    with pytest.raises(
+        ValueError, match=r"batch_size 16 must be a multiple of 1 processes times 3"
+    ):
+        Engine(LoopOptions(device="cpu", batch_size=16, accumulation_steps=3))
+
+
+def test_the_mean_over_shards_is_the_loss_of_all_frames() -> None:
+    generator = torch.Generator().manual_seed(0)
+    prediction, target = torch.randn(2, 4, 9, 5, 3, generator=generator)
+    valid = torch.arange(9) < torch.tensor([9, 3, 6, 2])[:, None]
+    whole = motion_loss(prediction, target, valid, 0.5, 0.2)
+    halves = [slice(0, 2), slice(2, 4)]
+    counts = torch.stack([motion_counts(valid[h]) for h in halves]).mean(dim=0)
+    parts = [
+        motion_loss(prediction[h], target[h], valid[h], 0.5, 0.2, counts=counts) for h in halves
+    ]
+    for name, value in whole.items():
+        mean = sum(float(part[name]) for part in parts) / 2
+        assert mean == pytest.approx(float(value), rel=1e-5)
+
+
+def test_step_seeds_differ() -> None:
+    seeds = {step_seed(s, n, p) for s in range(5) for n in range(500) for p in range(8)}
+    assert len(seeds) == 5 * 500 * 8
+
+
+def test_fp16_trains_with_scaled_gradients(corpus: Path, tmp_path: Path) -> None:
+    config = CONFIGS / "ats_smoke.yaml"
+    options = [*SAME, *MODEL["ats"]]
+    run("ats", config, options, corpus, tmp_path / "whole")
+    run("ats", config, [*options, "loop.fp16=true"], corpus, tmp_path / "half")
+    # float16 keeps 11 bits.
+    half, whole = losses(tmp_path / "half", "ats"), losses(tmp_path / "whole", "ats")
+    assert half[0] == pytest.approx(whole[0], rel=5e-3) and half[0] != whole[0]
+    scaler, steps = optimizer(tmp_path / "half")
+    # Each step is taken, or skipped and the scale halved.
+    assert steps + math.log2(65536 / scaler["scale"]) == 4 and steps > 0
+
+
+def test_fp16_skips_a_step_that_overflows_and_halves_the_scale(
+    corpus: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    huge = functools.partial(torch.amp.GradScaler, init_scale=2.0**100)
+    monkeypatch.setattr(torch.amp, "GradScaler", huge)
+    options = [*SAME, *MODEL["ats"], "loop.fp16=true", "loop.max_steps=1"]
+    run("ats", CONFIGS / "ats_smoke.yaml", options, corpus, tmp_path)
+    scaler, steps = optimizer(tmp_path)
+    assert (scaler["scale"], steps) == (2.0**99, 0)
+    run("ats", CONFIGS / "ats_smoke.yaml", [*options, "loop.max_steps=3"], corpus, tmp_path)
+    scaler, steps = optimizer(tmp_path)
+    assert (scaler["scale"], steps) == (2.0**97, 0)  # it went on from the saved scale
+
+
+def optimizer(out: Path) -> tuple[dict[str, float], int]:
+    """State of the scaler, and steps that were taken."""
+    folder = next((out / "checkpoints" / "ats").glob("step_*"))
+    state = torch.load(folder / "optimizer.pt", weights_only=True)
+    return state["scaler"], max(int(own["step"]) for own in state["adamw"]["state"].values())
+
+
+def test_precisions_exclude_each_other() -> None:
+    with pytest.raises(ValueError, match=r"bf16 and loop\.fp16 exclude each other"):
+        load_config("ats", CONFIGS / "ats_smoke.yaml", ["loop.bf16=true", "loop.fp16=true"])
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="a GPU is there")
+def test_cuda_that_is_absent_is_named() -> None:
+    with pytest.raises(ValueError, match="no usable GPU"):
+        choose_device(LoopOptions(device="cuda"))
