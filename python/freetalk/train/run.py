@@ -63,7 +63,9 @@ def run(
     return Trainer(task, config, out, " ".join([command, *overrides]), engine).run()
 
 
-def make_task(config: TrainingConfig, corpus: MotionDataset, out: Path, device: torch.device) -> Task:
+def make_task(
+    config: TrainingConfig, corpus: MotionDataset, out: Path, device: torch.device
+) -> Task:
     """The task of a configuration's kind, its model on `device` with its initial weights."""
     task = _new_task(config, corpus, out, device)
     if config.task.init:
@@ -71,7 +73,9 @@ def make_task(config: TrainingConfig, corpus: MotionDataset, out: Path, device: 
     return task
 
 
-def _new_task(config: TrainingConfig, corpus: MotionDataset, out: Path, device: torch.device) -> Task:
+def _new_task(
+    config: TrainingConfig, corpus: MotionDataset, out: Path, device: torch.device
+) -> Task:
     # Each training imports only the rooms it needs.
     if config.kind == "ats":
         from freetalk.train.ats import AtsTask
