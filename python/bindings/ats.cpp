@@ -44,27 +44,47 @@ void bind_generate(py::module_& m) {
                                                         "Sampling of motion from speech.");
   m.def("window_starts", &fa::window_starts, py::arg("num_frames"), py::arg("window"),
         py::arg("overlap"));
-  m.def("parse_emotion", &fa::parse_emotion, py::arg("text"), py::arg("emotions"),
-        "'happy', an alias, or 'happy:0.7,sad:0.3' to a convex mixture (E,).");
   m.def(
       "generate",
       [](const std::shared_ptr<fa::AtsImpl>& model, const at::Tensor& features,
-         const at::Tensor& emotion, double intensity, const fa::GenerateOptions& options,
-         uint64_t seed, const std::optional<freetalk::diffusion::StepCallback>& on_step) {
+         const at::Tensor& emotion, const at::Tensor& intensity, const fa::GenerateOptions& options,
+         const std::vector<uint64_t>& seeds,
+         const std::optional<freetalk::diffusion::StepCallback>& on_step) {
         const py::gil_scoped_release release;
         fa::Ats holder(model);
-        return fa::generate(holder, features, emotion, intensity, options,
-                            freetalk::core::make_generator(seed, features.device()),
+        std::vector<at::Generator> generators;
+        for (const uint64_t seed : seeds) {
+          generators.push_back(freetalk::core::make_generator(seed, features.device()));
+        }
+        return fa::generate(holder, features, fa::Affect{emotion, intensity}, options, generators,
                             on_step.value_or(freetalk::diffusion::StepCallback{}));
       },
       py::arg("model"), py::arg("features"), py::kw_only(), py::arg("emotion"),
-      py::arg("intensity"), py::arg("options") = fa::GenerateOptions{}, py::arg("seed") = 0,
+      py::arg("intensity"), py::arg("options") = fa::GenerateOptions{}, py::arg("seeds"),
       py::arg("on_step") = py::none());
+}
+
+void bind_emotion(py::module_& m) {
+  m.def("parse_emotion", &fa::parse_emotion, py::arg("text"), py::arg("emotions"),
+        "'happy', an alias, or 'happy:0.7,sad:0.3' to a convex mixture (E,).");
+  m.def(
+      "emotion_frames",
+      [](const std::string& text, const std::vector<std::string>& emotions, double intensity,
+         int64_t num_frames, double fps) {
+        const auto felt =
+            fa::interpolate(fa::parse_emotion_keys(text, emotions, intensity), num_frames, fps);
+        return std::pair{felt.emotion, felt.intensity};
+      },
+      py::arg("text"), py::arg("emotions"), py::kw_only(), py::arg("intensity"),
+      py::arg("num_frames"), py::arg("fps"),
+      "Keys such as '0=neutral; 2.5=happy:0.7,surprise:0.3@2.5' to the mixture (T, E) and the "
+      "intensity (T,) of every frame.");
 }
 
 }  // namespace
 
 void bind_ats(py::module_& m) {
   bind_denoiser(m);
+  bind_emotion(m);
   bind_generate(m);
 }

@@ -1,8 +1,9 @@
+#include <pybind11/functional.h>
 #include <torch/extension.h>
 
 #include "bind_options.h"
 #include "freetalk/core/random.h"
-#include "freetalk/diffusion/ddim.h"
+#include "freetalk/diffusion/sampler.h"
 #include "freetalk/diffusion/schedule.h"
 
 namespace py = pybind11;
@@ -23,26 +24,30 @@ void bind_schedule(py::module_& m) {
       .def_property_readonly("options", &fd::Schedule::options);
 }
 
-void bind_ddim(py::module_& m) {
-  freetalk::bindings::bind_options<fd::DdimOptions>(m, "DdimOptions",
-                                                    "DDIM: num_steps, eta, spacing.");
-  m.def("ddim_timesteps", &fd::ddim_timesteps, py::arg("num_train_steps"), py::arg("options"));
+void bind_sampler(py::module_& m) {
+  freetalk::bindings::bind_options<fd::SamplerOptions>(
+      m, "SamplerOptions", "Reverse process: sampler, num_steps, eta, spacing.");
+  m.def("sampler_timesteps", &fd::sampler_timesteps, py::arg("schedule"), py::arg("options"),
+        "The timesteps that a sampler visits, falling.");
   m.def(
-      "ddim_sample",
+      "sample",
       [](const fd::Schedule& schedule, const fd::Denoiser& denoiser, const at::Tensor& noise,
-         const fd::DdimOptions& options, uint64_t seed) {
-        return fd::ddim_sample(schedule, denoiser, noise, options,
-                               freetalk::core::make_generator(seed, noise.device()));
+         const fd::SamplerOptions& options, uint64_t seed,
+         const std::optional<fd::StepCallback>& on_step) {
+        return fd::sample(schedule, denoiser, noise, options,
+                          freetalk::core::make_generator(seed, noise.device()),
+                          on_step.value_or(fd::StepCallback{}));
       },
       py::arg("schedule"), py::arg("denoiser"), py::kw_only(), py::arg("noise"),
-      py::arg("options") = fd::DdimOptions{}, py::arg("seed") = 0,
-      "DDIM from noise with denoiser(x, timestep) -> x0 [Song et al. 2021]; seed: of the noise "
-      "that eta > 0 adds.");
+      py::arg("options") = fd::SamplerOptions{}, py::arg("seed") = 0,
+      py::arg("on_step") = py::none(),
+      "Reverse process from noise with denoiser(x, timestep) -> x0; seed: of the noise that "
+      "stochastic samplers add.");
 }
 
 }  // namespace
 
 void bind_diffusion(py::module_& m) {
   bind_schedule(m);
-  bind_ddim(m);
+  bind_sampler(m);
 }

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeAlias
 
 import torch
 
@@ -16,6 +17,12 @@ window_starts = _native.ats.window_starts
 
 NUM_LANDMARKS = 68
 MOTION_DIM = 204
+
+Mixture: TypeAlias = "str | Mapping[str, float]"
+"""``"happy"``, ``"happy:0.7,surprise:0.3"`` or ``{"happy": 0.7, "surprise": 0.3}``."""
+EmotionKey: TypeAlias = "tuple[float, Mixture] | tuple[float, Mixture, float]"
+"""(time in seconds, mixture) or (time, mixture, intensity)."""
+Emotion: TypeAlias = "Mixture | Sequence[EmotionKey]"
 
 
 class Ats(NativeModule):
@@ -48,7 +55,8 @@ class Ats(NativeModule):
             timestep: (B,) int64 diffusion step.
             audio: (B, T, C) speech features at the motion's frames.
             emotion: (B, E) convex mixture over ``options.emotions``; one-hot gives the paper's label.
-            intensity: (B,) real in [1, num_intensities].
+                (B, T, E) changes over time.
+            intensity: (B,) real in [1, num_intensities]; (B, T) if the emotion changes.
             valid: (B, T) bool, false on padding.
             drop_audio: (B,) bool, true where the audio is replaced by the learned null (guidance).
             drop_affect: (B,) bool, likewise for emotion and intensity.
@@ -88,39 +96,106 @@ class Ats(NativeModule):
         self._impl.set_motion_statistics(mean, scale)
 
 
+def emotion_text(emotion: Emotion) -> str:
+    """An emotion, a mixture or keyframes as the text that options and the command line take.
+
+    Args:
+        emotion: ``"happy"``; ``{"happy": 0.7, "surprise": 0.3}``; or keyframes
+            ``[(0.0, "neutral", 1), (2.5, {"happy": 0.7, "surprise": 0.3}, 2.5)]``: time in seconds,
+            mixture and, if it differs from the one intensity, an intensity.
+
+    Returns:
+        Such as ``"0.0=neutral@1.0;2.5=happy:0.7,surprise:0.3@2.5"``.
+
+    Raises:
+        ValueError: a keyframe is not (time, mixture) or (time, mixture, intensity).
+    """
+    if isinstance(emotion, (str, Mapping)):
+        return _mixture_text(emotion)
+    keys = []
+    for key in emotion:
+        if not isinstance(key, Sequence) or isinstance(key, str) or len(key) not in (2, 3):
+            raise ValueError(
+                f"an emotion keyframe is (seconds, mixture) or (seconds, mixture, intensity), found {key!r}"
+            )
+        text = f"{float(key[0])!r}={_mixture_text(key[1])}"
+        keys.append(text if len(key) == 2 else f"{text}@{float(key[2])!r}")
+    return ";".join(keys)
+
+
+def _mixture_text(mixture: Mixture) -> str:
+    if isinstance(mixture, str):
+        return mixture
+    return ",".join(f"{name}:{float(weight)!r}" for name, weight in mixture.items())
+
+
+def emotion_frames(
+    emotion: Emotion,
+    emotions: Sequence[str],
+    *,
+    num_frames: int,
+    fps: float,
+    intensity: float = 2.0,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Mixture and intensity of every frame: linear between keyframes, held before and after them.
+
+    Args:
+        emotion: as :func:`emotion_text` takes it.
+        emotions: the model's, ``options.emotions``.
+        num_frames: T.
+        fps: frames per second.
+        intensity: of keyframes that name none.
+
+    Returns:
+        (T, E) convex mixtures and (T,) intensities, as :func:`generate` takes them.
+
+    Raises:
+        ValueError: an unknown emotion, or times that do not rise; the message quotes the part at fault.
+    """
+    return _native.ats.emotion_frames(
+        emotion_text(emotion), list(emotions), intensity=intensity, num_frames=num_frames, fps=fps
+    )
+
+
 def generate(
     model: Ats,
     features: torch.Tensor,
     *,
     emotion: torch.Tensor,
-    intensity: float,
+    intensity: float | torch.Tensor,
     options: _native.ats.GenerateOptions | None = None,
-    seed: int = 0,
+    seed: int | Sequence[int] = 0,
     on_step: Callable[[int, int], None] | None = None,
 ) -> torch.Tensor:
-    """Motion of any length from speech features, by DDIM over overlapping windows denoised together.
+    """Motion of any length from speech features, by diffusion over overlapping windows denoised together.
 
     Args:
         model: in eval mode.
         features: (T, C) speech features at ``model.options.fps``.
-        emotion: (E,) convex mixture, see ``parse_emotion``.
-        intensity: real in [1, num_intensities].
-        options: steps, eta, guidance, windows.
-        seed: of the noise; the same seed gives the same motion.
+        emotion: (E,) convex mixture, see ``parse_emotion``; or (T, E), see ``emotion_frames``.
+        intensity: real in [1, num_intensities]; (T,) if the emotion is (T, E).
+        options: sampler, steps, guidance, precision, windows.
+        seed: of the noise; the same seed gives the same motion. K seeds give K motions, sampled together.
         on_step: called with (steps done, steps in all).
 
     Returns:
-        (T, 68, 3) float32 landmark displacements in metres, canonical frame.
+        (T, 68, 3) float32 landmark displacements in metres, canonical frame; (K, T, 68, 3) for a
+        sequence of seeds.
+
+    Raises:
+        ValueError: a shape does not fit, or a value is out of range.
     """
-    return _native.ats.generate(
+    several = isinstance(seed, Sequence)
+    motion = _native.ats.generate(
         model._impl,
         features,
         emotion=emotion,
-        intensity=intensity,
+        intensity=torch.as_tensor(intensity, dtype=features.dtype),
         options=options or GenerateOptions(),
-        seed=seed,
+        seeds=[int(one) for one in seed] if isinstance(seed, Sequence) else [int(seed)],
         on_step=on_step,
     )
+    return motion if several else motion[0]
 
 
 __all__ = [
@@ -129,6 +204,8 @@ __all__ = [
     "Ats",
     "AtsOptions",
     "GenerateOptions",
+    "emotion_frames",
+    "emotion_text",
     "generate",
     "parse_emotion",
     "window_starts",

@@ -73,8 +73,14 @@ void AtsImpl::check_inputs(const at::Tensor& x, const at::Tensor& timestep,
   };
   expect("timestep", timestep, {batch});
   expect("audio", condition.audio, {batch, frames, options_.audio_dim});
-  expect("emotion", condition.emotion, {batch, static_cast<int64_t>(options_.emotions.size())});
-  expect("intensity", condition.intensity, {batch});
+  const auto num_emotions = static_cast<int64_t>(options_.emotions.size());
+  if (condition.emotion.dim() == 3) {
+    expect("emotion", condition.emotion, {batch, frames, num_emotions});
+    expect("intensity (as emotion, of every frame)", condition.intensity, {batch, frames});
+  } else {
+    expect("emotion", condition.emotion, {batch, num_emotions});
+    expect("intensity", condition.intensity, {batch});
+  }
   if (condition.valid.defined()) expect("valid", condition.valid, {batch, frames});
   if (condition.drop_audio.defined()) expect("drop_audio", condition.drop_audio, {batch});
   if (condition.drop_affect.defined()) expect("drop_affect", condition.drop_affect, {batch});
@@ -87,18 +93,20 @@ at::Tensor AtsImpl::time_code(const at::Tensor& timestep) {
 }
 
 at::Tensor AtsImpl::affect_code(const Condition& condition) {
-  const at::Tensor emotion = condition.emotion.matmul(emotion_embedding_->weight);  // (B, d)
-  const at::Tensor level = (condition.intensity - 1)
+  const bool changing = condition.emotion.dim() == 3;
+  const at::Tensor mixture = changing ? condition.emotion : condition.emotion.unsqueeze(1);
+  const at::Tensor emotion = mixture.matmul(emotion_embedding_->weight);  // (B, 1 or T, d)
+  const at::Tensor level = ((changing ? condition.intensity : condition.intensity.unsqueeze(1)) - 1)
                                .clamp(0, static_cast<double>(options_.num_intensities - 1))
-                               .unsqueeze(1);
-  const at::Tensor levels = at::arange(options_.num_intensities, level.options()).unsqueeze(0);
+                               .unsqueeze(2);
+  const at::Tensor levels = at::arange(options_.num_intensities, level.options());
   const at::Tensor hat =
-      (1 - (level - levels).abs()).clamp_min(0);  // (B, levels): linear interpolation weights
+      (1 - (level - levels).abs()).clamp_min(0);  // (B, 1 or T, levels): interpolation weights
   const at::Tensor intensity = hat.matmul(intensity_embedding_->weight);
-  const at::Tensor code = affect_out_(at::silu(affect_in_(at::cat({emotion, intensity}, 1))));
+  const at::Tensor code = affect_out_(at::silu(affect_in_(at::cat({emotion, intensity}, 2))));
   if (!condition.drop_affect.defined()) return code;
-  return at::where(condition.drop_affect.unsqueeze(1),
-                   null_affect_.unsqueeze(0).to(code.scalar_type()), code);
+  return at::where(condition.drop_affect.view({-1, 1, 1}), null_affect_.to(code.scalar_type()),
+                   code);
 }
 
 at::Tensor AtsImpl::audio_memory(const Condition& condition) {
@@ -125,7 +133,7 @@ at::Tensor AtsImpl::forward(const at::Tensor& x, const at::Tensor& timestep,
   }
   const at::Tensor memory = audio_memory(condition);
   at::Tensor z = input_proj_(x) + target_positions_.narrow(0, 0, frames) +
-                 (time_code(timestep) + affect_code(condition)).unsqueeze(1);
+                 time_code(timestep).unsqueeze(1) + affect_code(condition);
   for (nn::TransformerDecoderLayer& layer : layers_)
     z = layer(z, memory, self_allowed, cross_allowed);
   return output_proj_(options_.norm_first ? norm_(z) : z);

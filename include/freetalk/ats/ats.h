@@ -74,11 +74,13 @@ struct AtsOptions {
 /// What the denoiser is conditioned on; tensors of one batch.
 struct Condition {
   at::Tensor audio;  // (B, T, C) float, speech features at the motion's frames
-  at::Tensor
-      emotion;  // (B, E) float, convex mixture over AtsOptions::emotions (one-hot: the paper)
-  at::Tensor
-      intensity;     // (B,) float in [1, num_intensities], interpolated between the learned levels
-  at::Tensor valid;  // (B, T) bool, false on padding; undefined: all valid
+  /// (B, E) or, changing over time, (B, T, E) float: convex mixtures over AtsOptions::emotions
+  /// (one-hot: the paper).
+  at::Tensor emotion;
+  /// (B,) or (B, T), as the emotion: float in [1, num_intensities], interpolated between the
+  /// learned levels.
+  at::Tensor intensity;
+  at::Tensor valid;        // (B, T) bool, false on padding; undefined: all valid
   at::Tensor drop_audio;   // (B,) bool, true: the learned null audio (guidance); undefined: none
   at::Tensor drop_affect;  // (B,) bool, true: the learned null affect; undefined: none
 };
@@ -101,10 +103,11 @@ class AtsImpl : public torch::nn::Module {
   const AtsOptions& options() const { return options_; }
 
  private:
+  friend class AtsInference;  // computes once what does not depend on the step
   void check_inputs(const at::Tensor& x, const at::Tensor& timestep,
                     const Condition& condition) const;
   at::Tensor time_code(const at::Tensor& timestep);
-  at::Tensor affect_code(const Condition& condition);
+  at::Tensor affect_code(const Condition& condition);  // (B, 1, d) or (B, T, d)
   at::Tensor audio_memory(const Condition& condition);
 
   AtsOptions options_;

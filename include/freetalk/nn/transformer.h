@@ -51,6 +51,7 @@ class TransformerDecoderLayerImpl : public torch::nn::Module {
                      const at::Tensor& cross_allowed);
 
  private:
+  friend class DecoderLayerInference;  // reads the weights once and packs them
   at::Tensor feed_forward(const at::Tensor& x);
 
   TransformerLayerOptions options_;

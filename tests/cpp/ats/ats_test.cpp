@@ -2,7 +2,6 @@
 #include <torch/torch.h>
 
 #include "freetalk/ats/ats.h"
-#include "freetalk/ats/generate.h"
 #include "freetalk/core/random.h"
 
 namespace freetalk::ats {
@@ -109,71 +108,21 @@ TEST(Ats, WrongShapesAreNamed) {
                std::invalid_argument);
 }
 
-TEST(WindowStarts, CoverAndOverlap) {
-  for (const int64_t frames : {1, 20, 21, 50, 133}) {
-    const auto starts = window_starts(frames, 20, 6);
-    EXPECT_EQ(starts.front(), 0);
-    for (size_t i = 1; i < starts.size(); ++i) EXPECT_LE(starts[i], starts[i - 1] + 20 - 6);
-    EXPECT_GE(starts.back() + 20, frames);
-    EXPECT_EQ(starts.back() + std::min<int64_t>(frames, 20), frames);
-  }
-}
-
-TEST(Generate, SameSeedSameMotionAnyLength) {
+TEST(Ats, EmotionMayChangeOverTime) {
   torch::manual_seed(0);
   Ats model(small_options());
   model->eval();
-  GenerateOptions options;
-  options.num_steps = 4;
-  options.window_overlap = 6;
-  const at::Tensor emotion = parse_emotion("happy", model->options().emotions);
-  for (const int64_t frames : {1, 20, 57}) {
-    const at::Tensor features = torch::randn({frames, 5}, core::make_generator(3));
-    const auto run = [&](uint64_t seed) {
-      return generate(model, features, emotion, 2.0, options, core::make_generator(seed));
-    };
-    EXPECT_EQ(run(1).sizes(), (std::vector<int64_t>{frames, 68, 3}));
-    EXPECT_TRUE(torch::equal(run(1), run(1)));
-    EXPECT_FALSE(torch::equal(run(1), run(2)));
-  }
-}
-
-TEST(Generate, WindowBatchingDoesNotChangeTheResult) {
-  torch::manual_seed(0);
-  Ats model(small_options());
-  model->eval();
-  GenerateOptions options;
-  options.num_steps = 3;
-  options.window_overlap = 6;
-  const at::Tensor emotion = parse_emotion("neutral", model->options().emotions);
-  const at::Tensor features = torch::randn({75, 5}, core::make_generator(3));
-  options.windows_per_batch = 1;
-  const at::Tensor one = generate(model, features, emotion, 1.0, options, core::make_generator(1));
-  options.windows_per_batch = 8;
-  const at::Tensor many = generate(model, features, emotion, 1.0, options, core::make_generator(1));
-  EXPECT_TRUE(torch::allclose(one, many, 1e-4, 1e-5));
-}
-
-TEST(Generate, IntensityOutOfRangeThrows) {
-  Ats model(small_options());
-  const at::Tensor emotion = parse_emotion("happy", model->options().emotions);
-  EXPECT_THROW(generate(model, torch::zeros({4, 5}), emotion, 3.5, {}, core::make_generator(0)),
-               std::invalid_argument);
-}
-
-TEST(ParseEmotion, NamesAliasesAndMixtures) {
-  const std::vector<std::string> emotions = {"neutral", "happy", "afraid"};
-  EXPECT_TRUE(torch::allclose(parse_emotion("fear", emotions), torch::tensor({0.0F, 0.0F, 1.0F})));
-  EXPECT_TRUE(torch::allclose(parse_emotion("happy:3,neutral:1", emotions),
-                              torch::tensor({0.25F, 0.75F, 0.0F})));
-  for (const char* bad : {"hungry", "happy:", "happy:-1", "happy:0", "", "happy:x"}) {
-    EXPECT_THROW(parse_emotion(bad, emotions), std::invalid_argument) << bad;
-  }
-  try {
-    parse_emotion("hungry", emotions);
-  } catch (const std::invalid_argument& error) {
-    EXPECT_NE(std::string(error.what()).find("neutral, happy, afraid"), std::string::npos);
-  }
+  const at::Tensor x = random_motion(2, 6), timestep = torch::tensor({10, 400});
+  Condition condition = condition_for(2, 6);
+  const at::Tensor constant = model(x, timestep, condition);
+  condition.emotion = condition.emotion.unsqueeze(1).expand({2, 6, 3});
+  condition.intensity = condition.intensity.unsqueeze(1).expand({2, 6});
+  EXPECT_TRUE(torch::allclose(model(x, timestep, condition), constant, 1e-5, 1e-6));
+  condition.intensity = condition.intensity.clone();
+  condition.intensity.select(1, 5).fill_(3);
+  EXPECT_FALSE(torch::allclose(model(x, timestep, condition), constant, 1e-3, 1e-3));
+  condition.intensity = torch::full({2}, 2.0);
+  EXPECT_THROW(model(x, timestep, condition), std::invalid_argument);
 }
 
 }  // namespace

@@ -1,0 +1,52 @@
+"""Options of ``freetalk animate`` that say how motion is sampled. Imports nothing heavy."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+
+_GUIDANCE = {"audio": "audio_guidance", "emotion": "affect_guidance"}
+
+
+def guidance(text: str) -> dict[str, float]:
+    """A weight for both conditions, or 'audio=W,emotion=W', as options of the talker."""
+    pairs = [part.split("=") for part in text.split(",")]
+    if len(pairs) == 1 and len(pairs[0]) == 1:
+        pairs = [[name, text] for name in _GUIDANCE]
+    found: dict[str, float] = {}
+    for pair in pairs:
+        try:
+            name, weight = _GUIDANCE[pair[0].strip()], float(pair[1])
+        except (KeyError, IndexError, ValueError):
+            name, weight = "", math.nan
+        if len(pair) != 2 or not 0 <= weight <= 100 or name in found:
+            raise argparse.ArgumentTypeError(
+                f"'{text}' is no guidance: give a weight from 0 to 100, such as 1.5, or "
+                "'audio=1.5,emotion=2'; 1 is off"
+            )
+        found[name] = weight
+    return found
+
+
+def add_sampling(parser: argparse.ArgumentParser, count: Callable[[str], int]) -> None:
+    """Adds the options; ``count`` reads a whole number above 0."""
+    absent = argparse.SUPPRESS  # the weights say
+    samplers = ("ddim", "ddpm", "dpmpp")
+    sampler_help = "dpmpp (DPM-Solver++) needs 10 to 20 steps; by default that of the weights"
+    parser.add_argument("--sampler", choices=samplers, default=absent, help=sampler_help)
+    steps_help = "denoising steps; fewer are faster; by default those of the weights, 20 of dpmpp"
+    parser.add_argument("--steps", type=count, default=absent, metavar="N", help=steps_help)
+    guidance_help = (
+        "how much more than usual the face follows speech and emotion: a weight for both, or "
+        "'audio=1.5,emotion=2'; 1 is off, and faster"
+    )
+    parser.add_argument(
+        "--guidance", type=guidance, default=absent, metavar="W", help=guidance_help
+    )
+    parser.add_argument(
+        "--precision",
+        choices=("float32", "bfloat16"),
+        default="float32",
+        help="of the networks; bfloat16 is faster where the processor has it",
+    )

@@ -1,0 +1,148 @@
+#include "freetalk/ats/emotion.h"
+
+#include <ATen/ATen.h>
+#include <torch/types.h>
+
+#include <cmath>
+#include <cstdlib>
+#include <map>
+#include <optional>
+#include <sstream>
+
+#include "freetalk/core/error.h"
+
+namespace freetalk::ats {
+namespace {
+
+const std::map<std::string, std::string>& emotion_aliases() {
+  static const std::map<std::string, std::string> aliases = {
+      {"fear", "afraid"},        {"fearful", "afraid"},       {"anger", "angry"},
+      {"happiness", "happy"},    {"sadness", "sad"},          {"disgusted", "disgust"},
+      {"surprised", "surprise"}, {"contemptuous", "contempt"}};
+  return aliases;
+}
+
+int64_t emotion_index(const std::string& name, const std::vector<std::string>& emotions) {
+  const auto alias = emotion_aliases().find(name);
+  const std::string& canonical = alias == emotion_aliases().end() ? name : alias->second;
+  for (size_t i = 0; i < emotions.size(); ++i) {
+    if (emotions[i] == canonical) return static_cast<int64_t>(i);
+  }
+  std::string known;
+  for (const std::string& emotion : emotions) known += (known.empty() ? "" : ", ") + emotion;
+  throw std::invalid_argument(core::join("unknown emotion '", name, "'; known are: ", known));
+}
+
+std::string trimmed(const std::string& text) {
+  const size_t first = text.find_first_not_of(" \t\n");
+  if (first == std::string::npos) return "";
+  return text.substr(first, text.find_last_not_of(" \t\n") - first + 1);
+}
+
+std::vector<std::string> split(const std::string& text, char separator) {
+  std::vector<std::string> parts;
+  std::istringstream stream(text);
+  for (std::string part; std::getline(stream, part, separator);) parts.push_back(trimmed(part));
+  return parts;
+}
+
+std::optional<double> number(const std::string& text) {
+  char* end = nullptr;
+  const double value = std::strtod(text.c_str(), &end);
+  if (text.empty() || *end != '\0' || !std::isfinite(value)) return std::nullopt;
+  return value;
+}
+
+EmotionKey parse_key(const std::string& text, const std::vector<std::string>& emotions,
+                     double intensity, bool timed) {
+  EmotionKey key;
+  std::string rest = text;
+  const size_t equals = rest.find('=');
+  if (equals != std::string::npos) {
+    const auto time = number(trimmed(rest.substr(0, equals)));
+    FREETALK_CHECK(time && *time >= 0, "emotion key '", text, "': '", rest.substr(0, equals),
+                   "' is not a time in seconds");
+    key.time_s = *time;
+    rest = trimmed(rest.substr(equals + 1));
+  } else {
+    FREETALK_CHECK(!timed, "emotion key '", text, "' has no time; write 'TIME=", text,
+                   "' with TIME in seconds");
+  }
+  key.intensity = intensity;
+  const size_t at_sign = rest.find('@');
+  if (at_sign != std::string::npos) {
+    const auto level = number(trimmed(rest.substr(at_sign + 1)));
+    FREETALK_CHECK(level, "emotion key '", text, "': '", rest.substr(at_sign + 1),
+                   "' is not an intensity");
+    key.intensity = *level;
+    rest = trimmed(rest.substr(0, at_sign));
+  }
+  key.emotion = parse_emotion(rest, emotions);
+  return key;
+}
+
+}  // namespace
+
+Affect constant_affect(const at::Tensor& emotion, double intensity) {
+  return {emotion, at::scalar_tensor(intensity, emotion.options())};
+}
+
+Affect interpolate(const std::vector<EmotionKey>& keys, int64_t num_frames, double fps) {
+  FREETALK_CHECK(!keys.empty() && num_frames > 0 && fps > 0,
+                 "emotion keys: expected at least one key, one frame and a positive frame rate");
+  for (size_t i = 1; i < keys.size(); ++i) {
+    FREETALK_CHECK(keys[i].time_s > keys[i - 1].time_s, "emotion keys: times must rise, found ",
+                   keys[i].time_s, " s after ", keys[i - 1].time_s, " s");
+  }
+  std::vector<at::Tensor> mixtures;
+  std::vector<float> intensities;
+  size_t after = 0;  // the first key that lies after the frame
+  for (int64_t frame = 0; frame < num_frames; ++frame) {
+    const double time = static_cast<double>(frame) / fps;
+    while (after < keys.size() && keys[after].time_s <= time) ++after;
+    const EmotionKey& next = keys[std::min(after, keys.size() - 1)];
+    const EmotionKey& last = keys[after > 0 ? after - 1 : 0];
+    const double span = next.time_s - last.time_s;
+    const double share = span > 0 ? (time - last.time_s) / span : 0;
+    mixtures.push_back(last.emotion * (1 - share) + next.emotion * share);
+    intensities.push_back(
+        static_cast<float>(last.intensity * (1 - share) + next.intensity * share));
+  }
+  return {at::stack(mixtures), torch::tensor(intensities)};
+}
+
+at::Tensor parse_emotion(const std::string& text, const std::vector<std::string>& emotions) {
+  std::vector<float> mixture(emotions.size(), 0.0F);
+  float total = 0;
+  for (const std::string& part : split(text, ',')) {
+    const size_t colon = part.find(':');
+    double weight = 1;
+    if (colon != std::string::npos) {
+      const auto given = number(trimmed(part.substr(colon + 1)));
+      FREETALK_CHECK(given && *given >= 0 && *given < 1e6, "emotion '", text, "': the weight '",
+                     part.substr(colon + 1), "' is not a number >= 0");
+      weight = *given;
+    }
+    const int64_t index = emotion_index(trimmed(part.substr(0, colon)), emotions);
+    mixture[static_cast<size_t>(index)] += static_cast<float>(weight);
+    total += static_cast<float>(weight);
+  }
+  FREETALK_CHECK(total > 0, "emotion '", text, "' names no emotion with a positive weight");
+  return torch::tensor(mixture) / total;
+}
+
+std::vector<EmotionKey> parse_emotion_keys(const std::string& text,
+                                           const std::vector<std::string>& emotions,
+                                           double intensity) {
+  const auto parts = split(text, ';');
+  std::vector<EmotionKey> keys;
+  for (const std::string& part : parts) {
+    keys.push_back(parse_key(part, emotions, intensity, parts.size() > 1));
+    FREETALK_CHECK(keys.size() < 2 || keys.back().time_s > keys[keys.size() - 2].time_s,
+                   "emotion key '", part, "': times must rise");
+  }
+  FREETALK_CHECK(!keys.empty(), "emotion must not be empty");
+  return keys;
+}
+
+}  // namespace freetalk::ats

@@ -1,0 +1,71 @@
+#include "freetalk/ats/inference.h"
+
+#include <ATen/ATen.h>
+
+#include "freetalk/core/error.h"
+
+namespace freetalk::ats {
+
+AtsInference::AtsInference(AtsImpl& model, const std::vector<int64_t>& timesteps,
+                           int64_t num_frames, at::ScalarType dtype, int64_t rows)
+    : model_(model),
+      num_frames_(num_frames),
+      dtype_(dtype),
+      input_(model.input_proj_->weight, model.input_proj_->bias, dtype, rows),
+      output_(model.output_proj_->weight, model.output_proj_->bias, dtype, rows),
+      band_(num_frames, model.options_.band_radius, dtype, model.null_audio_.device()) {
+  const auto whole = model.null_audio_.options().dtype(at::kLong);
+  const at::Tensor codes = model.time_code(at::tensor(timesteps, whole));
+  for (size_t i = 0; i < timesteps.size(); ++i) {
+    time_codes_[timesteps[i]] = codes[static_cast<int64_t>(i)];
+  }
+  for (const nn::TransformerDecoderLayer& layer : model.layers_) {
+    layers_.emplace_back(*layer, dtype, rows);
+  }
+}
+
+AtsInference::Prepared AtsInference::prepare(const at::Tensor& audio, const Affect& affect,
+                                             bool null_audio) {
+  const int64_t windows = audio.size(0);
+  const bool changing = affect.emotion.dim() > 1;
+  Condition condition;
+  condition.audio = audio;
+  condition.emotion = changing ? affect.emotion : affect.emotion.expand({windows, -1});
+  condition.intensity = changing ? affect.intensity : affect.intensity.expand({windows});
+  const at::Tensor positions = model_.target_positions_.narrow(0, 0, num_frames_);
+  const at::Tensor felt = positions + model_.affect_code(condition);  // (W, T, d)
+  Prepared prepared;
+  prepared.base = at::stack({felt, (positions + model_.null_affect_).expand_as(felt)});
+  at::Tensor memory = model_.audio_memory(condition);  // (W, T, d)
+  if (null_audio) {
+    condition.drop_audio = at::ones({windows}, audio.options().dtype(at::kBool));
+    memory = at::cat({memory, model_.audio_memory(condition)});
+  }
+  memory = memory.to(dtype_);
+  for (const nn::DecoderLayerInference& layer : layers_) {
+    prepared.memory.push_back(layer.remember(memory, band_.margin()));
+  }
+  return prepared;
+}
+
+at::Tensor AtsInference::denoise(const at::Tensor& x, int64_t timestep, const Prepared& prepared,
+                                 const std::vector<Variant>& variants) const {
+  std::vector<at::Tensor> base;
+  std::vector<int64_t> memory_of;
+  for (const Variant& variant : variants) {
+    base.push_back(prepared.base[variant.null_affect ? 1 : 0]);
+    memory_of.push_back(variant.null_audio ? 1 : 0);
+  }
+  const at::Tensor start = (at::stack(base) + time_codes_.at(timestep)).to(dtype_).flatten(0, 1);
+  at::Tensor z = input_.add(x.to(dtype_).flatten(0, 1), start);  // (G W, T, d)
+  for (size_t i = 0; i < layers_.size(); ++i) {
+    z = layers_[i].forward(z, prepared.memory[i], memory_of, band_);
+  }
+  if (model_.options_.norm_first) {
+    z = at::layer_norm(z, {z.size(-1)}, model_.norm_->weight.to(dtype_),
+                       model_.norm_->bias.to(dtype_), model_.norm_->options.eps());
+  }
+  return output_(z).to(x.scalar_type()).view(x.sizes());
+}
+
+}  // namespace freetalk::ats
