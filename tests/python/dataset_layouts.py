@@ -246,7 +246,11 @@ def write_mead_emote(folder: Path, frames: int = 20) -> Path:
 
 
 def write_folder(
-    folder: Path, size: tuple[int, int] = (400, 760), frames: int = 60, sparse: bool = False
+    folder: Path,
+    size: tuple[int, int] = (400, 760),
+    frames: int = 60,
+    sparse: bool = False,
+    fps: int = 30,
 ) -> Path:
     """One's own recordings with labels; `sparse` has landmarks in place of vertices."""
     for name in ("motion", "wav", "templates"):
@@ -262,17 +266,17 @@ def write_folder(
             write_ply(folder / "templates" / f"{speaker}.ply", neutral, faces)
         for take, emotion in enumerate(("neutral", "anger", "Happy")):
             stem = f"{speaker}_{take}"
-            moved = motion_of(neutral, frames, 30, index + take)
+            moved = motion_of(neutral, frames, fps, index + take)
             np.save(
                 folder / "motion" / f"{stem}.npy",
                 (moved[:, indices] if sparse else moved).astype(np.float16 if take else np.float32),
             )
-            seconds = frames / 30
+            seconds = frames / fps
             soundfile.write(folder / "wav" / f"{stem}.wav", sound(seconds, 16000, take), 16000)
             split = ("train", "val", "test")[index]
             rows.append(f"{stem},{speaker},{emotion},{1 + take},hello there,{split}")
     (folder / "labels.csv").write_text("\n".join(rows) + "\n")
-    (folder / "dataset.json").write_text(json.dumps({"fps": 30, "unit": "m", "name": "own"}))
+    (folder / "dataset.json").write_text(json.dumps({"fps": fps, "unit": "m", "name": "own"}))
     if not sparse:
         (folder / "landmarks68.json").write_text(json.dumps({"landmarks": indices.tolist()}))
     return folder

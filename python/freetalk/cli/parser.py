@@ -44,6 +44,7 @@ def make_parser() -> Parser:
     _add_train(commands)
     _add_evaluate(commands)
     _add_corpus(commands)
+    _add_data(commands)
     _add_mesh(commands)
     _add_speech(commands)
     _add_view(commands)
@@ -184,7 +185,13 @@ def _add_train(commands: Any) -> None:
         parser.add_argument(
             "--config", required=True, metavar="YAML", help="a file, or a name in configs/"
         )
-        parser.add_argument("--data", required=True, metavar="DIR", help="the corpus")
+        parser.add_argument(
+            "--data",
+            required=True,
+            action="append",
+            metavar="[NAME[:SPLIT]=]DIR",
+            help="a corpus or dataset (see 'freetalk data check'); repeat it to train on several",
+        )
         parser.add_argument("--out", required=True, metavar="DIR", help="weights and checkpoints")
         parser.add_argument(
             "overrides", nargs="*", metavar="section.key=value", help="wins over the configuration"
@@ -231,10 +238,59 @@ def _add_corpus(commands: Any) -> None:
     parser.add_argument("--seed", type=seed, default=0, help="same seed, same corpus")
 
 
+def _add_data(commands: Any) -> None:
+    _, nested = _group(commands, "data", "datasets of speech and facial motion")
+    parser = _command(
+        nested,
+        "check",
+        "data:check",
+        "tell what is missing or wrong with a dataset",
+        description=(
+            "Reads all of a dataset and tells what it is and what is missing or wrong: VOCAset (as "
+            "released, or FaceFormer's copy), BIWI_6 and Multiface (ScanTalk's layout), EmoVOCA, "
+            "MEAD-EMOTE, the open corpus, or a plain folder of wav, motion and templates."
+        ),
+    )
+    parser.add_argument("data", metavar="[NAME[:SPLIT]=]DIR", help="the dataset's folder")
+    parser.add_argument(
+        "--kind", default="", metavar="KIND", help="its layout, where it is not recognised"
+    )
+    parser.add_argument("--unit", choices=UNITS, default="auto", help="length unit of its files")
+    parser.add_argument("--quick", action="store_true", help="do not read sound and motion")
+    parser.add_argument("--json", metavar="FILE", help="also write the report to this file")
+
+
 def _add_mesh(commands: Any) -> None:
     _, nested = _group(commands, "mesh", "look into mesh files")
     parser = _command(nested, "check", "mesh:check", "report counts, size, unit and pose of a mesh")
     parser.add_argument("file", metavar="FILE", help="OBJ, PLY, OFF or STL")
+    _add_pose(parser)
+    _add_pretrained(parser)
+    _add_mesh_landmarks(nested)
+
+
+def _add_mesh_landmarks(nested: Any) -> None:
+    parser = _command(
+        nested,
+        "landmarks",
+        "mesh_landmarks:run",
+        "propose the 68 landmarks of a template",
+        description=(
+            "Fits the built-in face to a template of any meshing and writes the vertices under its 68 "
+            "landmarks (iBUG order) as JSON for datasets of that template. Look at the picture, then "
+            "correct: --start FILE --set 48=1532."
+        ),
+    )
+    parser.add_argument("file", metavar="FILE", help="OBJ, PLY, OFF or STL")
+    parser.add_argument("--out", default="landmarks68.json", metavar="JSON", help="where to write")
+    parser.add_argument("--picture", metavar="PNG", help="also draw them with their numbers")
+    parser.add_argument(
+        "--masks", action="store_true", help="also write lip_mask.json and upper_mask.json beside"
+    )
+    parser.add_argument("--start", metavar="FILE", help="landmarks to correct instead of proposing")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="N=VERTEX", help="correct one; repeatable"
+    )
     _add_pose(parser)
     _add_pretrained(parser)
 

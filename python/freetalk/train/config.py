@@ -283,7 +283,8 @@ def load_config(kind: str, path: str | Path, overrides: list[str] | None = None)
     Args:
         kind: ``ats``, ``stm`` or ``speech``.
         path: YAML file, or the name of a shipped one (``ats_small``).
-        overrides: ``section.key=value`` pairs that win over the file.
+        overrides: ``section.key=value`` pairs that win over the file; a mapping (``{a: 1}``) takes the
+            place of the file's.
 
     Raises:
         ValueError: unknown kind or key (names the nearest), malformed value.
@@ -293,7 +294,12 @@ def load_config(kind: str, path: str | Path, overrides: list[str] | None = None)
         raise ValueError(f"unknown training {kind!r}; known: {', '.join(KINDS)}")
     path = find_config(path)
     try:
-        merged = OmegaConf.merge(OmegaConf.load(path), OmegaConf.from_dotlist(overrides or []))
+        base = OmegaConf.load(path)
+        for override in overrides or []:
+            key, _, value = override.partition("=")
+            if value.strip().startswith("{") or value.strip() == "null":
+                OmegaConf.update(base, key, None, merge=False)
+        merged = OmegaConf.merge(base, OmegaConf.from_dotlist(overrides or []))
         raw = OmegaConf.to_container(merged, resolve=True)
     except (OmegaConfBaseException, ValueError) as error:
         raise ValueError(f"{path}: {error}") from error
@@ -333,8 +339,8 @@ def _converted(value: Any, wanted: str, where: str) -> Any:
         return value
     if wanted == "str" and (isinstance(value, str) or value is None):
         return value or ""
-    if wanted.startswith("dict") and isinstance(value, dict):
-        return {str(key): float(item) for key, item in value.items()}
+    if wanted.startswith("dict") and (isinstance(value, dict) or value is None):
+        return {str(key): float(item) for key, item in (value or {}).items()}
     raise ValueError(f"{where} = {value!r} is no {wanted}")
 
 

@@ -145,5 +145,6 @@ def _renderings(
         if copy > 0:
             speed = float(rng.uniform(0.9, 1.1)) if copy > 1 else 1.0
             heard = augment_wave(change_speed(wave, speed), rng, corpus.sample_rate_hz)
-        features = encode_speech(encoder, torch.from_numpy(heard), sequence.fps).cpu().numpy()
+        sound = torch.from_numpy(np.array(heard, dtype=np.float32))
+        features = encode_speech(encoder, sound, sequence.fps).cpu().numpy()
         yield speed, features[: round(sequence.num_frames / speed)]

@@ -1,0 +1,152 @@
+"""Any set of datasets trains each stage, with its own meshes and frame rates."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from dataset_layouts import write_folder
+from mini_corpus import write_mini_corpus
+
+from freetalk.cli.app import main
+from freetalk.data import open_dataset, open_datasets
+from freetalk.train.config import load_config
+from freetalk.train.run import make_task, run
+from freetalk.train.stm_meshes import prepare_meshes
+from freetalk.train.stm_windows import FaceWindows
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+QUICK = ["loop.threads=1", "loop.max_steps=2", "loop.validate_every=0", "loop.ema_decay=0"]
+STM = [*QUICK, "task.source_weights=null", "task.num_meshes=0"]
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_mini_corpus(tmp_path_factory.mktemp("mixed") / "corpus")
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Recordings of one's own at 25 fps, where the corpus has 30."""
+    return write_folder(tmp_path_factory.mktemp("own") / "own", frames=50, fps=25)
+
+
+@pytest.fixture(scope="module")
+def sparse(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_folder(tmp_path_factory.mktemp("sparse") / "sparse", sparse=True)
+
+
+def finite(directory: Path) -> bool:
+    from freetalk import _native
+
+    tensors = _native.core.load_safetensors(str(directory / "model.safetensors"))
+    return all(bool(torch.isfinite(t).all()) for t in tensors.values())
+
+
+def test_the_audio_stage_trains_on_a_mixture(
+    corpus: Path, own: Path, sparse: Path, tmp_path: Path
+) -> None:
+    data = [f"OPEN={corpus}", f"OWN={own}", f"MARKS={sparse}"]
+    shares = "task.source_weights={OPEN/synthetic: 0.4, OWN: 0.3, MARKS: 0.3}"
+    plain = "task.feature_augmentations=0"
+    result = run("ats", CONFIGS / "ats_smoke.yaml", [*QUICK, plain, shares], data, tmp_path)
+    assert result.step == 2
+    assert finite(tmp_path / "ats")
+    config = json.loads((tmp_path / "ats" / "config.json").read_text())
+    parts = config["training"]["data"]["datasets"]
+    assert {name: part["fps"] for name, part in parts.items()} == {
+        "OPEN": 30.0, "OWN": 25.0, "MARKS": 30.0,
+    }  # fmt: skip
+    assert parts["OWN"]["landmarks"]["count"] == 68
+    record = json.loads((tmp_path / "run_ats.json").read_text())
+    assert record["data"] == data
+
+
+def test_speech_features_follow_each_datasets_frame_rate(
+    corpus: Path, own: Path, tmp_path: Path
+) -> None:
+    overrides = [
+        *QUICK,
+        "task.feature_augmentations=0",
+        "task.source_weights={OPEN/synthetic: 1, OWN: 1}",
+    ]
+    config = load_config("ats", CONFIGS / "ats_smoke.yaml", overrides)
+    mixed = open_datasets([f"OPEN={corpus}", f"OWN={own}"])
+    task = make_task(config, mixed, tmp_path, torch.device("cpu"))
+    seen = set()
+    for sequence in task.sampler.sequences:
+        (copy,) = task.features.copies(sequence)
+        seconds = len(mixed.audio(sequence)) / 16000
+        assert abs(copy.num_frames - seconds * sequence.fps) <= 1
+        assert copy.num_frames <= sequence.num_frames
+        seen.add(sequence.fps)
+    assert seen == {25.0, 30.0}
+    rng = np.random.default_rng(0)
+    drawn = [task.item(rng) for _ in range(8)]
+    assert all(np.isfinite(item["motion"]).all() for item in drawn)
+    assert {len(item["audio"]) - len(item["motion"]) for item in drawn} == {0}
+
+
+@pytest.mark.parametrize("names", [("OWN",), ("OPEN", "OWN")])
+def test_the_mesh_stage_trains_on_registered_and_open_faces(
+    corpus: Path, own: Path, tmp_path: Path, names: tuple[str, ...]
+) -> None:
+    folders = {"OPEN": corpus, "OWN": own}
+    data = [f"{name}={folders[name]}" for name in names]
+    overrides = [*STM, "loop.batch_size=3", f"task.operator_cache={tmp_path / 'operators'}"]
+    if len(names) == 2:
+        overrides[4] = "task.source_weights={OPEN/facegood: 0.3, OWN: 0.4, random: 0.3}"
+    result = run("stm", CONFIGS / "stm_smoke.yaml", overrides, data, tmp_path / "out")
+    assert result.step == 2
+    assert finite(tmp_path / "out" / "stm")
+    assert np.isfinite(result.scores["relative_error"])
+
+
+def test_a_sequence_moves_the_face_it_was_recorded_on(
+    corpus: Path, own: Path, tmp_path: Path
+) -> None:
+    mixed = open_datasets([f"OPEN={corpus}", f"OWN={own}"])
+    (tmp_path / "operators").mkdir()
+    meshes = prepare_meshes(
+        mixed, "train", 0, 0, 0.1, 8, str(tmp_path / "operators"), torch.device("cpu")
+    )
+    assert {mesh.dataset for mesh in meshes} == {"OPEN", "OWN"}
+    windows = FaceWindows(mixed, meshes, "train", {"OPEN/facegood": 1, "OWN": 1, "random": 1}, 4)
+    rng = np.random.default_rng(0)
+    datasets = []
+    for _ in range(40):
+        window = windows.draw(rng)
+        mesh = meshes[window.mesh]
+        assert window.target.shape == (4, len(mesh.positions), 3)
+        assert window.landmarks.shape == (4, 68, 3)
+        datasets.append(mesh.dataset)
+        if mesh.dataset == "OWN":  # its landmarks are vertices of the very face
+            points = open_dataset(own).template.needed_landmarks()  # type: ignore[attr-defined]
+            np.testing.assert_allclose(points.of(window.target), window.landmarks, atol=1e-7)
+    assert 5 < datasets.count("OWN") < 25
+    for index, mesh in enumerate(meshes):
+        assert windows.first_on(index).dataset == mesh.dataset
+        assert len(windows.draw_on(index, rng).target[0]) == len(mesh.positions)
+    own_alone = [mesh for mesh in meshes if mesh.dataset == "OWN"]
+    with pytest.raises(ValueError, match="random expressions, which only faces of the open corpus"):
+        FaceWindows(mixed, own_alone, "train", {"random": 1.0}, 4)
+
+
+def test_what_cannot_train_is_said_before_it_starts(
+    own: Path, sparse: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(kind: str, *arguments: str) -> str:
+        config = str(CONFIGS / f"{kind}_smoke.yaml")
+        command = ["train", kind, "--config", config, "--out", str(tmp_path / "out")]
+        assert main([*command, *arguments]) == 2
+        return capsys.readouterr().err
+
+    assert "no phones and expression curves" in fails("speech", "--data", str(own))
+    assert "no faces or no meshings" in fails("stm", "--data", str(sparse), "task.num_meshes=0")
+    assert "no folder" in fails("ats", "--data", str(own), "--data", "MEAD=/nowhere/mead")
+    (tmp_path / "empty").mkdir()
+    assert "no known dataset" in fails("ats", "--data", str(tmp_path / "empty"))
