@@ -24,7 +24,7 @@ if torch.__version__.split("+")[0] != _native.torch_version.split("+")[0]:
 __version__: str = _native.__version__
 
 if TYPE_CHECKING:
-    from freetalk import ats, diffusion, geometry, nn, speech, stm
+    from freetalk import ats, diffusion, geometry, metrics, nn, speech, stm
     from freetalk.animation import Animation
     from freetalk.audio import Audio, load_audio
     from freetalk.geometry import Mesh, load_mesh
@@ -47,6 +47,7 @@ _ROOMS = (
     "diffusion",
     "evaluate",
     "geometry",
+    "metrics",
     "nn",
     "speech",
     "stm",
@@ -66,6 +67,7 @@ __all__ = [
     "geometry",
     "load_audio",
     "load_mesh",
+    "metrics",
     "nn",
     "speech",
     "stm",

@@ -38,6 +38,7 @@ freetalk_add_room(speech USES audio nn core PRIVATE_LIBS nlohmann_json::nlohmann
 freetalk_add_room(diffusion USES core)
 freetalk_add_room(ats USES speech diffusion nn core PRIVATE_LIBS nlohmann_json::nlohmann_json)
 freetalk_add_room(stm USES nn geometry core PRIVATE_LIBS nlohmann_json::nlohmann_json)
+freetalk_add_room(metrics USES core)
 freetalk_add_room(animation USES audio geometry core PRIVATE_LIBS nlohmann_json::nlohmann_json)
 freetalk_add_room(talker USES animation stm ats speech diffusion nn geometry audio core
                   PRIVATE_LIBS nlohmann_json::nlohmann_json)

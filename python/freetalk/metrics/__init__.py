@@ -1,0 +1,106 @@
+"""Metrics of speech-driven faces, each published variant by its own name.
+
+Vertex metrics take displacements from the neutral face, (B, T, V, 3), a mask of vertices and the valid
+frames, and return one float64 number a sequence; ``METRICS`` lists them with unit, formula and source.
+The mask decides the number: name it with every result. Intervals and paired tests run over sequences.
+"""
+
+from freetalk.metrics.affect import (
+    SPREAD_FLOOR_M,
+    NearestCentroid,
+    affect_features,
+    recognised,
+)
+from freetalk.metrics.lips import (
+    BILABIALS,
+    Offset,
+    best_offset,
+    correlation,
+    lip_closures,
+    lip_opening,
+    log_energy,
+)
+from freetalk.metrics.samples import (
+    diversity,
+    diversity_vertex,
+    lve_coverage,
+    lve_mean_estimate,
+)
+from freetalk.metrics.statistics import (
+    BootstrapOptions,
+    Interval,
+    PairedTest,
+    bootstrap_mean,
+    holm,
+    permutation_test,
+    wilcoxon_test,
+)
+from freetalk.metrics.vertex import (
+    METRICS,
+    MetricInfo,
+    delta_cd,
+    delta_cd_weighted,
+    delta_m,
+    delta_m_l2,
+    dfd,
+    dfd_vertex,
+    dtw,
+    dtw_sum,
+    dtw_vertex,
+    fdd,
+    fdd_abs,
+    jerk_energy,
+    jitter_ratio,
+    lve,
+    lve_l2,
+    metric_info,
+    mve_max,
+    mve_mean,
+    vertex_metric,
+)
+
+__all__ = [
+    "BILABIALS",
+    "METRICS",
+    "SPREAD_FLOOR_M",
+    "BootstrapOptions",
+    "Interval",
+    "MetricInfo",
+    "NearestCentroid",
+    "Offset",
+    "PairedTest",
+    "affect_features",
+    "best_offset",
+    "bootstrap_mean",
+    "correlation",
+    "delta_cd",
+    "delta_cd_weighted",
+    "delta_m",
+    "delta_m_l2",
+    "dfd",
+    "dfd_vertex",
+    "diversity",
+    "diversity_vertex",
+    "dtw",
+    "dtw_sum",
+    "dtw_vertex",
+    "fdd",
+    "fdd_abs",
+    "holm",
+    "jerk_energy",
+    "jitter_ratio",
+    "lip_closures",
+    "lip_opening",
+    "log_energy",
+    "lve",
+    "lve_coverage",
+    "lve_l2",
+    "lve_mean_estimate",
+    "metric_info",
+    "mve_max",
+    "mve_mean",
+    "permutation_test",
+    "recognised",
+    "vertex_metric",
+    "wilcoxon_test",
+]
