@@ -172,7 +172,11 @@ def make_steps(arguments: argparse.Namespace, config: TrainingConfig, out: Path)
         task = bench(config, arguments.frames, name)
         if state is None:
             source = task if name == "freetalk" else bench(config, arguments.frames, "freetalk")
-            state = {key: value.clone() for key, value in source.model.named_parameters()}
+            # Some weights start at 0, where a wrong peer would go unnoticed.
+            state = {
+                key: value.detach() + 0.02 * torch.randn_like(value).abs()
+                for key, value in source.model.named_parameters()
+            }
         task.model.load_state_dict({**task.model.state_dict(), **state})
         if name == "freetalk":
             steps[name] = our_step(task, config, out)

@@ -75,7 +75,7 @@ run(kind, config, options, corpus, out)
 
 @pytest.mark.parametrize(
     ("kind", "where"),
-    [("stm", "step"), ("ats", "step"), ("stm", "state.json"), ("stm", "last.json")],
+    [("ats", "step"), ("stm", "state.json"), ("stm", "last.json")],
 )
 def test_a_killed_training_ends_with_the_same_weights(
     kind: str, where: str, corpus: Path, tmp_path: Path

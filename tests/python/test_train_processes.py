@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from accelerate.state import AcceleratorState
 from mini_corpus import write_mini_corpus
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -89,6 +90,12 @@ def test_a_batch_that_does_not_divide_is_refused() -> None:
         ValueError, match=r"batch_size 16 must be a multiple of 1 processes times 3"
     ):
         Engine(LoopOptions(device="cpu", batch_size=16, accumulation_steps=3))
+
+
+def test_each_training_of_an_interpreter_has_its_own_device() -> None:
+    assert Engine(LoopOptions(device="cpu")).device.type == "cpu"
+    AcceleratorState().device = torch.device("cuda")  # as a training on a GPU leaves it
+    assert Engine(LoopOptions(device="cpu")).device.type == "cpu"
 
 
 def test_the_mean_over_shards_is_the_loss_of_all_frames() -> None:

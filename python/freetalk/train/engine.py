@@ -146,22 +146,22 @@ def choose_device(options: LoopOptions) -> torch.device:
 def _accelerator(device: torch.device) -> Any:
     try:
         from accelerate import Accelerator, InitProcessGroupKwargs
+        from accelerate.state import AcceleratorState, is_initialized
         from accelerate.utils import DistributedType
     except ImportError as error:
         raise RuntimeError(
             f"training needs accelerate ({error}); install it with: pip install 'freetalk[train]'"
         ) from None
-    # Precision is this module's: accelerate keeps its own for the life of the interpreter.
+    # accelerate keeps device and precision for the life of the interpreter; here each training has its own.
+    if is_initialized():
+        earlier = AcceleratorState()
+        if earlier.num_processes == 1 and earlier.device.type != device.type:
+            AcceleratorState._reset_state(reset_partial_state=True)
     accelerator = Accelerator(
         cpu=device.type == "cpu",
         mixed_precision="no",
         kwargs_handlers=[InitProcessGroupKwargs(timeout=_PATIENCE)],
     )
-    if accelerator.device.type != device.type:
-        raise RuntimeError(
-            f"this interpreter already trained on {accelerator.device.type}; start another for "
-            f"{device.type}"
-        )
     known = (DistributedType.NO, DistributedType.MULTI_CPU, DistributedType.MULTI_GPU)
     if accelerator.distributed_type not in known:
         raise RuntimeError(

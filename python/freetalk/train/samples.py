@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from freetalk._pretrained import PRETRAINED
-from freetalk.corpus.assets import mean_face
 from freetalk.geometry import surface_operators
 from freetalk.stm import Stm
 
@@ -65,6 +64,8 @@ class MeanFace:
     """
 
     def __init__(self, weights: Path, device: torch.device) -> None:
+        from freetalk.corpus.assets import mean_face  # which needs seconds to import
+
         trained = (weights / "config.json").is_file()
         self._stm = Stm.from_pretrained(weights if trained else PRETRAINED / "open-small" / "stm")
         self._stm = self._stm.to(device)
