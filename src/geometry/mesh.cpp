@@ -3,7 +3,9 @@
 #include <algorithm>
 #include <cctype>
 #include <cmath>
+#include <iterator>
 #include <limits>
+#include <utility>
 
 #include "freetalk/core/error.h"
 #include "freetalk/core/file.h"
@@ -11,6 +13,8 @@
 
 namespace freetalk::geometry {
 namespace {
+
+using Reader = RawMesh (*)(const std::filesystem::path&, const std::string&);
 
 std::string lower_extension(const std::filesystem::path& path) {
   std::string extension = path.extension().string();
@@ -61,8 +65,10 @@ std::string find_problem(const Eigen::MatrixXd& vertices,
   return {};
 }
 
-void drop_lines_and_points(std::vector<std::vector<int>>& polygons,
-                           std::vector<std::vector<int>>& polygon_texcoords) {
+/// @return how many there were.
+int64_t drop_lines_and_points(std::vector<std::vector<int>>& polygons,
+                              std::vector<std::vector<int>>& polygon_texcoords) {
+  const size_t before = polygons.size();
   size_t kept = 0;
   for (size_t p = 0; p < polygons.size(); ++p) {
     if (polygons[p].size() < 3) continue;
@@ -74,13 +80,14 @@ void drop_lines_and_points(std::vector<std::vector<int>>& polygons,
   }
   polygons.resize(kept);
   if (!polygon_texcoords.empty()) polygon_texcoords.resize(kept);
+  return static_cast<int64_t>(before - kept);
 }
 
 Mesh assemble(Eigen::MatrixXd vertices, std::vector<std::vector<int>> polygons,
               Eigen::MatrixXd texcoords, std::vector<std::vector<int>> polygon_texcoords,
               std::string name) {
-  drop_lines_and_points(polygons, polygon_texcoords);
   Mesh mesh;
+  mesh.lines_and_points = drop_lines_and_points(polygons, polygon_texcoords);
   mesh.name = std::move(name);
   mesh.vertices = std::move(vertices);
   mesh.texcoords = std::move(texcoords);
@@ -126,25 +133,27 @@ Mesh load_mesh(const std::filesystem::path& path) {
   FREETALK_RUNTIME_CHECK(std::filesystem::exists(path, error), "mesh file ", file,
                          " does not exist; check the path");
   FREETALK_RUNTIME_CHECK(std::filesystem::is_regular_file(path, error), "mesh file ", file,
-                         " is not a file; give the path of an OBJ, PLY, OFF or STL file");
+                         " is not a file; give the path of an OBJ, PLY, OFF, STL or glTF file");
   const std::string extension = lower_extension(path);
-  const bool known =
-      extension == "obj" || extension == "ply" || extension == "off" || extension == "stl";
-  FREETALK_RUNTIME_CHECK(known, "mesh file ", file,
-                         " has no known mesh extension; convert it to OBJ, PLY, OFF or STL");
+  constexpr std::pair<const char*, Reader> kReaders[] = {{"obj", read_obj},   {"ply", read_ply},
+                                                         {"off", read_off},   {"stl", read_stl},
+                                                         {"gltf", read_gltf}, {"glb", read_gltf}};
+  const auto reader = std::find_if(std::begin(kReaders), std::end(kReaders),
+                                   [&](const auto& known) { return extension == known.first; });
+  FREETALK_RUNTIME_CHECK(reader != std::end(kReaders), "mesh file ", file,
+                         " has no known mesh extension; convert it to OBJ, PLY, OFF, STL or glTF");
   const std::string bytes = core::read_text(path);
   FREETALK_RUNTIME_CHECK(!bytes.empty(), "mesh file ", file, " is empty; export the mesh again");
-  RawMesh raw = extension == "obj"   ? read_obj(path, bytes)
-                : extension == "ply" ? read_ply(path, bytes)
-                : extension == "off" ? read_off(path, bytes)
-                                     : read_stl(path, bytes);
+  RawMesh raw = reader->second(path, bytes);
   Eigen::MatrixXd vertices = to_matrix<3>(raw.vertices);
   Eigen::MatrixXd texcoords = to_matrix<2>(raw.texcoords);
   const std::string problem =
       find_problem(vertices, raw.polygons, texcoords, raw.polygon_texcoords);
   FREETALK_RUNTIME_CHECK(problem.empty(), "mesh file ", file, " ", problem);
-  return assemble(std::move(vertices), std::move(raw.polygons), std::move(texcoords),
-                  std::move(raw.polygon_texcoords), path.stem().string());
+  Mesh mesh = assemble(std::move(vertices), std::move(raw.polygons), std::move(texcoords),
+                       std::move(raw.polygon_texcoords), path.stem().string());
+  mesh.lines_and_points += raw.lines_and_points;
+  return mesh;
 }
 
 }  // namespace freetalk::geometry

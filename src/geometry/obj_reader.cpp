@@ -31,6 +31,8 @@ class ObjParser {
         if (!blank(line)) texcoord[1] = number(line, "a texture coordinate is not a number");
       } else if (keyword == "f") {
         face(line);
+      } else if (keyword == "l" || keyword == "p") {
+        ++mesh_.lines_and_points;
       }
     }
     if (!any_texcoords_) {

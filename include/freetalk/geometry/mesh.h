@@ -1,4 +1,4 @@
-// Polygon meshes and the files they come from: OBJ, PLY, OFF, STL in; OBJ, PLY out.
+// Polygon meshes and the files they come from: OBJ, PLY, OFF, STL, glTF in; OBJ, PLY out.
 #pragma once
 
 #include <Eigen/Core>
@@ -22,6 +22,7 @@ struct Mesh {
   /// empty list for a polygon without. Empty if the mesh has no texture coordinates.
   std::vector<std::vector<int>> polygon_texcoords;
   std::vector<int> face_polygon;  ///< (F,) the polygon each triangle was cut from.
+  int64_t lines_and_points = 0;   ///< Elements of fewer than three corners, which are not kept.
   std::string name;               ///< The file's name without folder and extension, for messages.
 
   int64_t num_vertices() const { return vertices.rows(); }
@@ -53,8 +54,9 @@ Mesh make_mesh(Eigen::MatrixXd vertices, std::vector<std::vector<int>> polygons,
                Eigen::MatrixXd texcoords, std::vector<std::vector<int>> polygon_texcoords,
                std::string name);
 
-/// Reads an OBJ, PLY, OFF or STL file. No face is dropped: non-manifold, duplicate and degenerate
-/// ones stay.
+/// Reads an OBJ, PLY, OFF, STL, .gltf or .glb file. No face is dropped: non-manifold, duplicate and
+/// degenerate ones stay. Of glTF, the triangles of all meshes its scene shows, moved by their
+/// nodes, at rest (no skin, no morph).
 /// @throws std::runtime_error, one sentence naming the file and what to do: missing, empty, not a
 /// mesh,
 ///   no faces, indices out of range, vertices that are not finite.
