@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
@@ -159,6 +160,19 @@ def test_landmarks_alone_train_the_audio_stage(layouts: Path) -> None:
     assert sparse.faces() == []
     for one, other in zip(sparse.sequences(), dense.sequences()):
         np.testing.assert_allclose(sparse.landmarks(one), dense.landmarks(other), atol=2e-7)
+
+
+def test_motion_without_sound_is_silent(broken: Callable[[str], Path]) -> None:
+    folder = broken("folder")
+    shutil.rmtree(folder / "wav")
+    dataset = open_dataset(folder)
+    sequence = dataset.sequences("train")[0]
+    assert sequence.audio is None
+    assert len(dataset.audio(sequence)) == round(sequence.num_frames / 30 * 16000)
+    assert not dataset.audio(sequence).any()
+    (folder / "dataset.json").unlink()
+    with pytest.raises(LayoutError, match="nothing tells the frame rate"):
+        open_dataset(folder)
 
 
 def test_landmarks_are_picked_once_and_kept_on_disk(

@@ -94,6 +94,9 @@ def test_each_fault_of_a_paired_layout_has_its_name(
         VertexCountError, match=rf"{stem}\.npy has \d+ points a frame, its mesh has"
     ):
         open_dataset(folder)
+    moved.write_bytes(content[:-100])
+    with pytest.raises(DatasetError, match=rf"{stem}\.npy has \d+ bytes, .* cut short"):
+        open_dataset(folder)
     moved.write_bytes(content)
 
     shorten(wav)

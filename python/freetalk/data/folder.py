@@ -1,11 +1,11 @@
 """A plain folder of one's own recordings: sound, motion, neutral faces, labels.
 
 ``motion/NAME.npy`` (or ``vertices_npy``, ``vertices``) holds positions: vertices (T, V, 3) or (T, 3 V), or 68
-landmarks (T, 68, 3) or (T, 204), which train the audio stage alone. ``wav/NAME.wav`` is the sound,
-``templates.pkl`` or ``templates/SPEAKER.ply`` (``.obj``, ``.npy``) the neutral faces. A name is
-``SPEAKER_anything`` unless ``labels.csv`` says more: a header with ``name`` and any of ``speaker``,
-``emotion``, ``intensity``, ``text``, ``split``; without emotion a sequence is neutral at intensity 1.
-``dataset.json`` may set ``fps``, ``unit`` (m, cm, mm, in), ``split`` and ``name``.
+landmarks (T, 68, 3) or (T, 204), which train the audio stage alone. ``wav/NAME.wav`` is the sound; motion
+without a ``wav`` folder trains the mesh stage alone. ``templates.pkl`` or ``templates/SPEAKER.ply`` (``.obj``,
+``.npy``) are the neutral faces. A name is ``SPEAKER_anything`` unless ``labels.csv`` says more: a header with
+``name`` and any of ``speaker``, ``emotion``, ``intensity``, ``text``, ``split``; without emotion a sequence is
+neutral at intensity 1. ``dataset.json`` may set ``fps``, ``unit`` (m, cm, mm, in), ``split`` and ``name``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from freetalk.data.dataset import NUM_LANDMARKS, FloatArray
 from freetalk.data.emotions import emotion_of, intensity_of
-from freetalk.data.errors import DatasetError
+from freetalk.data.errors import DatasetError, LayoutError
 from freetalk.data.index_files import Landmarks
 from freetalk.data.layouts import (
     FileName,
@@ -57,7 +57,13 @@ def read_folder(request: Request) -> RegisteredParts:
         emotion = emotion_of(row.get("emotion") or "neutral", None, where)
         return FileName(speaker, None, emotion, intensity_of(row.get("intensity") or 1, where))
 
-    recordings = paired_recordings(request, common_size(neutral), parse)
+    heard = (directory / "wav").is_dir()
+    if not heard and "fps" not in settings:
+        raise LayoutError(
+            f"{directory} has no wav folder, so nothing tells the frame rate of its motion: state it "
+            'as {"fps": 30} in dataset.json'
+        )
+    recordings = paired_recordings(request, common_size(neutral), parse, heard)
     recordings = [_labelled(r, labels.get(r.id, {}), request) for r in recordings]
     rates = (float(settings["fps"]),) if "fps" in settings else _FPS
     asked = dataclasses.replace(

@@ -109,15 +109,26 @@ def npy_header(path: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:
         MissingFileError: no such file.
         DatasetError: no array, or one of objects, or cut short.
     """
-    if not path.is_file():
-        raise MissingFileError(f"there is no file {path}")
     try:
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
+        with path.open("rb") as file:
+            version = np.lib.format.read_magic(file)
+            reads = np.lib.format.read_array_header_1_0
+            if version != (1, 0):
+                reads = np.lib.format.read_array_header_2_0
+            shape, _, dtype = reads(file)
+            needed = file.tell() + dtype.itemsize * int(np.prod(shape, dtype=np.int64))
+        found = path.stat().st_size
+    except FileNotFoundError:
+        raise MissingFileError(f"there is no file {path}") from None
     except (ValueError, EOFError, OSError) as error:
         raise DatasetError(
-            f"{path} is no readable array ({error}); compare its size with the published one and "
-            "fetch or make it again"
+            f"{path} is no readable array ({error}); fetch or make it again"
         ) from error
-    if not isinstance(array, np.ndarray):
-        raise DatasetError(f"{path} holds several arrays; expected a .npy of one")
-    return array.shape, array.dtype
+    if dtype.hasobject:
+        raise DatasetError(f"{path} holds Python objects; expected an array of numbers")
+    if found < needed:
+        raise DatasetError(
+            f"{path} has {found} bytes, its {dtype} {shape} needs {needed}; it is cut short: fetch or make "
+            "it again"
+        )
+    return shape, dtype

@@ -38,7 +38,6 @@ class LandmarkCache:
         rows = self._landmarks[first : first + count]
         if not self._done[index]:
             rows[:] = compute()
-            self._landmarks.flush()
             self._done[index] = 1
         return rows
 

@@ -69,7 +69,10 @@ def motion_folder(directory: Path) -> Path | None:
 
 
 def paired_recordings(
-    request: Request, num_points: int, parse: Callable[[str], FileName | None]
+    request: Request,
+    num_points: int,
+    parse: Callable[[str], FileName | None],
+    with_sound: bool = True,
 ) -> list[Recording]:
     """One recording for each ``.npy`` of the motion folder, with the ``.wav`` of its name.
 
@@ -77,6 +80,7 @@ def paired_recordings(
         request: where.
         num_points: points of a frame; 0 takes the files'.
         parse: what a file's name says; ``None`` leaves the file out.
+        with_sound: whether there is any sound.
     """
     motion = motion_folder(request.directory)
     if motion is None:
@@ -94,7 +98,7 @@ def paired_recordings(
                     id=path.stem,
                     speaker=named.speaker,
                     sentence=named.sentence,
-                    audio=request.directory / "wav" / f"{path.stem}.wav",
+                    audio=request.directory / "wav" / f"{path.stem}.wav" if with_sound else None,
                     frames=NpyFrames(path, num_points),
                     emotion=named.emotion,
                     intensity=named.intensity,

@@ -227,6 +227,10 @@ class RegisteredDataset:
         neutral = self._neutral[self._recordings[sequence.id].speaker]
         return self.pose.apply(self._positions(sequence, start, stop) - neutral)
 
+    def neutral(self, sequence: MotionSequence) -> FloatArray:
+        """Neutral face of a sequence's speaker, (V, 3), the file's unit and axes."""
+        return self._neutral[self._recordings[sequence.id].speaker]
+
     def speaker(self, sequence: MotionSequence) -> str:
         """Name of the speaker of a sequence, as the dataset has it."""
         return self._recordings[sequence.id].speaker
