@@ -24,9 +24,8 @@ SurfaceOperators point_cloud_operators(const Eigen::MatrixXd& points,
                  " need points on a surface; all of them lie on one line or in one place");
   const LaplacianAndMass robust = point_cloud_laplacian(points, cloud);
   const Eigen::VectorXd mass = with_floor(robust.mass);
-  const Eigenbasis basis =
-      eigenbasis(robust.laplacian, mass, {options.k_eig, options.residual_tolerance, "auto"}, name,
-                 progress);
+  const Eigenbasis basis = eigenbasis(
+      robust.laplacian, mass, {options.k_eig, options.residual_tolerance, "auto"}, name, progress);
   orient_normals(points, cloud.neighbors, cloud.normals);
   const Eigen::MatrixXd frames = tangent_frames(cloud.normals);
   const RowSparseMatrix gradient =
