@@ -6,28 +6,135 @@ import argparse
 from pathlib import Path
 
 from freetalk.cli.outputs import check_readable, check_writable
+from freetalk.cli.parser import UsageError
+from freetalk.cli.score_options import AXES
 from freetalk.cli.weights import find_weights
 
 _FOLDERS = {"stm": ("stm",), "ats": ("speech", "ats"), "emotions": ("speech", "ats")}
 
 
 def run(arguments: argparse.Namespace) -> None:
+    """Scores predictions (--pred), or weights on the test split of a corpus (--data)."""
+    if arguments.pred:
+        score(arguments)
+        return
+    if arguments.data is None:
+        raise UsageError(
+            "give --data, a corpus to measure weights on, or --pred and --gt, predictions to score "
+            "(see 'freetalk evaluate --help')"
+        )
+    measure(arguments)
+
+
+def measure(arguments: argparse.Namespace) -> None:
     """Measures weights on the test split of a corpus and prints a table."""
     if not (Path(arguments.data) / "manifest.json").is_file():
         raise OSError(f"'{arguments.data}' is no corpus: make one with 'freetalk corpus build'")
+    if len(arguments.out) > 1:
+        raise UsageError("scores of weights are written to one --out")
     weights = _weights(arguments.pretrained, arguments.parts)
     for file in arguments.audio:
         check_readable(file, "a recording of speech")
-    if arguments.out is not None:
-        check_writable(Path(arguments.out))
+    for file in arguments.out:
+        check_writable(Path(file))
     from freetalk.evaluate import open_corpus
 
     options = ["--corpus", arguments.data, "--pretrained", str(weights)]
     options += ["--parts", *arguments.parts, "--take", arguments.take]
     options += ["--samples", str(arguments.samples), "--steps", str(arguments.steps)]
     options += ["--audio", *arguments.audio] if arguments.audio else []
-    options += ["--out", arguments.out] if arguments.out is not None else []
+    for file in arguments.out:
+        options += ["--out", file]
     open_corpus.main(options)
+
+
+def score(arguments: argparse.Namespace) -> None:
+    """Scores folders of predictions against a ground truth and prints a table."""
+    if arguments.gt is None:
+        raise UsageError("--pred needs --gt, the ground truth: a folder of motion or a dataset")
+    if arguments.fps <= 0 or arguments.resamples < 1:
+        raise UsageError("--fps and --resamples must be above 0")
+    from freetalk import evaluate
+    from freetalk.evaluate.masks import read_lip_pairs
+    from freetalk.evaluate.motion_files import unit_scale
+    from freetalk.evaluate.tables import FORMATS, terminal
+
+    outputs = [Path(file) for file in arguments.out]
+    for path in outputs:
+        if path.suffix not in FORMATS:
+            raise ValueError(f"'{path}' does not say what to write: end it in {', '.join(FORMATS)}")
+        check_writable(path)
+    truth = evaluate.open_ground_truth(
+        _folder(arguments.gt),
+        evaluate.FolderSettings(
+            unit=arguments.unit,
+            kind=arguments.kind,
+            templates=_path(arguments.templates),
+            fps=arguments.fps,
+            wav=None if arguments.wav is None else _folder(arguments.wav),
+            phones=_file(arguments.phones, "phones"),
+            emotions=_file(arguments.emotions, "emotions"),
+        ),
+        arguments.split,
+        arguments.topology,
+    )
+    masks = {**truth.masks, **evaluate.read_masks(arguments.masks, truth.num_vertices)}
+    pairs = truth.lip_pairs
+    if arguments.lip_pairs is not None:
+        pairs = read_lip_pairs(check_readable(arguments.lip_pairs, "lip pairs"), truth.num_vertices)
+    scores = evaluate.score_predictions(
+        _systems(arguments.pred),
+        truth,
+        masks,
+        pairs,
+        evaluate.PredictionSettings(
+            metrics=arguments.metrics,
+            kind=arguments.pred_kind,
+            scale=None if arguments.pred_unit is None else unit_scale(arguments.pred_unit),
+            pattern=arguments.names,
+            strict=arguments.strict,
+            up=AXES[arguments.up],
+        ),
+    )
+    statistics = evaluate.StatisticsSettings(
+        confidence=arguments.confidence,
+        num_resamples=arguments.resamples,
+        seed=arguments.score_seed,
+        baseline=arguments.baseline,
+    )
+    report = evaluate.make_report(scores, truth, masks, statistics)
+    print(terminal(report))
+    for path in outputs:
+        evaluate.write_report(report, path)
+
+
+def _systems(given: list[str]) -> list[tuple[str, Path]]:
+    """``NAME=DIR`` or ``DIR``, which is called as the folder."""
+    systems: dict[str, Path] = {}
+    for text in given:
+        name, equals, directory = text.partition("=")
+        if not equals or "/" in name or Path(text).exists():
+            name, directory = Path(text).resolve().name, text
+        if name in systems:
+            raise ValueError(f"two systems are called {name}: give them names, NAME=DIR")
+        systems[name] = _folder(directory)
+    return list(systems.items())
+
+
+def _folder(text: str) -> Path:
+    if not Path(text).is_dir():
+        raise OSError(f"'{text}' is no folder")
+    return Path(text)
+
+
+def _file(text: str | None, what: str) -> Path | None:
+    return None if text is None else check_readable(text, what)
+
+
+def _path(text: str | None) -> Path | None:
+    if text is not None and not Path(text).exists():
+        raise OSError(f"'{text}' does not exist")
+    return None if text is None else Path(text)
 
 
 def _weights(name: str, parts: list[str]) -> Path:

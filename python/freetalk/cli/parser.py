@@ -200,9 +200,17 @@ def _add_train(commands: Any) -> None:
 
 def _add_evaluate(commands: Any) -> None:
     parser = _command(
-        commands, "evaluate", "evaluate:run", "measure weights on a corpus's test split"
+        commands,
+        "evaluate",
+        "evaluate:run",
+        "measure weights on a corpus, or score any system's predictions",
+        description=(
+            "With --data: measures weights on a corpus's test split. With --pred and --gt: scores folders "
+            "of predictions as FaceFormer, CodeTalker, ScanTalk, EmoVOCA and 'freetalk animate' write "
+            "them, with intervals and paired tests; the table names units and masks by count and hash."
+        ),
     )
-    parser.add_argument("--data", required=True, metavar="DIR", help="the corpus")
+    parser.add_argument("--data", metavar="DIR", help="the corpus")
     parser.add_argument(
         "--pretrained",
         default=DEFAULT_WEIGHTS,
@@ -217,7 +225,11 @@ def _add_evaluate(commands: Any) -> None:
     )
     parser.add_argument("--samples", type=natural, default=5, help="performances of the take")
     parser.add_argument("--steps", type=natural, default=50, help="denoising steps")
-    parser.add_argument("--out", metavar="JSON", help="also write the scores to this file")
+    out_help = "also write the scores; with --pred by ending: .json, .csv, .tex, .txt; repeatable"
+    parser.add_argument("--out", action="append", default=[], metavar="FILE", help=out_help)
+    from freetalk.cli.score_options import add_score_options
+
+    add_score_options(parser)
 
 
 def _add_corpus(commands: Any) -> None:

@@ -1,5 +1,9 @@
-"""Scores of speech-driven faces: vertex errors, lip opening and closures, affect."""
+"""Scores of speech-driven faces: of any system's predictions, and of weights on the open corpus."""
 
+from freetalk.evaluate.ground_truth import FolderSettings, GroundTruth, open_ground_truth
+from freetalk.evaluate.masks import KNOWN_MASKS, describe_masks, read_masks
+from freetalk.evaluate.predictions import PredictionSettings, Scores, score_predictions
+from freetalk.evaluate.report import StatisticsSettings, make_report
 from freetalk.evaluate.speech_motion import (
     NearestCentroid,
     affect_features,
@@ -7,5 +11,24 @@ from freetalk.evaluate.speech_motion import (
     correlation,
     log_energy,
 )
+from freetalk.evaluate.tables import write_report
 
-__all__ = ["NearestCentroid", "affect_features", "closures", "correlation", "log_energy"]
+__all__ = [
+    "KNOWN_MASKS",
+    "FolderSettings",
+    "GroundTruth",
+    "NearestCentroid",
+    "PredictionSettings",
+    "Scores",
+    "StatisticsSettings",
+    "affect_features",
+    "closures",
+    "correlation",
+    "describe_masks",
+    "log_energy",
+    "make_report",
+    "open_ground_truth",
+    "read_masks",
+    "score_predictions",
+    "write_report",
+]

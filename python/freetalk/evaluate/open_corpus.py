@@ -19,8 +19,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from rich.console import Console
-from rich.table import Table
 from tqdm import tqdm
 
 from freetalk.audio import load_audio
@@ -34,6 +32,7 @@ from freetalk.evaluate.speech_motion import (
     correlation,
     log_energy,
 )
+from freetalk.evaluate.tables import plain_table
 from freetalk.train.stm_meshes import prepare_mesh
 
 FloatArray = npt.NDArray[np.float32]
@@ -248,10 +247,8 @@ def main(arguments: list[str] | None = None) -> None:
                 scores[f"energy {path.name}"] = evaluate_energy(model, path)
         if "emotions" in given.parts:
             scores["emotions"] = evaluate_emotions(corpus, model)
-    table = Table("score", "value", title=str(given.pretrained))
-    for name, shown in _flat(scores):
-        table.add_row(name, shown)
-    Console().print(table)
+    print(given.pretrained)
+    print(plain_table([("score", "value"), *_flat(scores)]))
     if given.out:
         given.out.write_text(json.dumps(scores, indent=2) + "\n")
 

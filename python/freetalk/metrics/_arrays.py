@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 
 if TYPE_CHECKING:
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 
 def floats(values: Array) -> torch.Tensor:
     """A floating-point tensor; integers become float64."""
+    if isinstance(values, np.ndarray) and not values.flags.writeable:
+        values = values.copy()  # torch takes no read-only memory
     tensor = torch.as_tensor(values).detach()
     return tensor if tensor.is_floating_point() else tensor.to(torch.float64)
 

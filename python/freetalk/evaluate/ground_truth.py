@@ -1,0 +1,231 @@
+"""Ground truth to score predictions against: a folder of motion, or a dataset that freetalk opens."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from freetalk.audio import load_audio
+from freetalk.data import NUM_LANDMARKS, DatasetError, LayoutError, Mask, open_dataset
+from freetalk.data.catalogue import kind_of
+from freetalk.evaluate.dataset_truth import DatasetTruth
+from freetalk.evaluate.masks import Pairs, landmark_masks, landmark_pairs
+from freetalk.evaluate.motion_files import (
+    FloatArray,
+    MotionFile,
+    Phones,
+    guess_kind,
+    motion_paths,
+    read_motion,
+    read_templates,
+    speaker_of,
+    unit_scale,
+)
+
+_AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".mp3")
+
+
+class GroundTruth(Protocol):
+    """Sequences that predictions are compared with; displacements from neutral in metres."""
+
+    names: list[str]
+    num_vertices: int
+    fps: float
+    masks: dict[str, Mask]
+    lip_pairs: Pairs | None
+
+    @property
+    def has_neutral(self) -> bool:
+        """Whether motion is known relative to the neutral face, not only relative to itself."""
+
+    def motion(self, name: str) -> FloatArray:
+        """(T, V, 3) m."""
+
+    def place(self, file: MotionFile, name: str, kind: str, scale: float | None) -> FloatArray:
+        """A prediction as displacements in the frame of :meth:`motion`.
+
+        Args:
+            file: what was read.
+            name: its sequence.
+            kind: ``vertices``, ``displacements``, or ``auto``.
+            scale: metres per unit of the file; ``None``: that of the ground truth's files.
+        """
+
+    def phones(self, name: str) -> Phones:
+        """(start in s, end in s, ARPABET label); empty where none are known."""
+
+    def audio(self, name: str) -> tuple[FloatArray, float] | None:
+        """Samples and their rate in Hz."""
+
+    def emotion(self, name: str) -> str | None:
+        """The label."""
+
+    def describe(self) -> dict[str, Any]:
+        """What results say of it."""
+
+
+@dataclass(frozen=True)
+class FolderSettings:
+    """What a folder of motion does not say itself.
+
+    Attributes:
+        unit: m, cm, mm, in, or metres per unit.
+        kind: ``vertices``, ``displacements``, or ``auto``: by comparison with the neutral face, else
+            by size.
+        templates: neutral faces by speaker.
+        fps: frames per second.
+        wav: folder of recordings, named as the motion.
+        phones: JSON, sequence to a list of (start in s, end in s, ARPABET label).
+        emotions: JSON, sequence to label.
+    """
+
+    unit: str = "m"
+    kind: str = "auto"
+    templates: Path | None = None
+    fps: float = 30.0
+    wav: Path | None = None
+    phones: Path | None = None
+    emotions: Path | None = None
+
+
+def open_ground_truth(
+    path: Path, settings: FolderSettings, split: str | None = None, topology: str | None = None
+) -> GroundTruth:
+    """A folder of ``.npy`` or ``.npz``, or whatever ``freetalk.data.open_dataset`` understands.
+
+    Args:
+        path: the folder.
+        settings: of a folder of motion; a dataset knows its own.
+        split: of a dataset; ``test`` by default.
+        topology: of a dataset with several meshings; ``landmarks`` for the 68 points.
+
+    Raises:
+        ValueError, OSError: what is missing or wrong.
+    """
+    try:
+        kind_of(path)
+    except LayoutError:
+        if not motion_paths(path):
+            raise
+        if split or topology:
+            raise ValueError(
+                f"{path} is a folder of motion: it has no splits and no topologies"
+            ) from None
+        return FolderTruth(path, settings)
+    return DatasetTruth(open_dataset(path), split or "test", topology)
+
+
+class FolderTruth:
+    """A folder with one ``.npy`` or ``.npz`` a sequence, named after it."""
+
+    def __init__(self, directory: Path, settings: FolderSettings) -> None:
+        self.directory, self.settings = directory, settings
+        self._paths = {path.stem: path for path in motion_paths(directory)}
+        self.names = list(self._paths)
+        self.fps = settings.fps
+        self._scale = unit_scale(settings.unit)
+        self._templates = {} if settings.templates is None else read_templates(settings.templates)
+        first = read_motion(self._paths[self.names[0]])
+        self.num_vertices = first.frames.shape[1]
+        for speaker, points in self._templates.items():
+            if points.shape != (self.num_vertices, 3):
+                raise DatasetError(
+                    f"{settings.templates}: the neutral face {speaker} has {len(points)} vertices, "
+                    f"{self._paths[self.names[0]]} has {self.num_vertices}"
+                )
+        is_sparse = self.num_vertices == NUM_LANDMARKS
+        self.masks = landmark_masks() if is_sparse else {}
+        self.lip_pairs: Pairs | None = landmark_pairs() if is_sparse else None
+        self.kind = self._kind_of(first, self.names[0], settings.kind, self._scale)
+        self._phones = _read_json(settings.phones)
+        self._emotions = _read_json(settings.emotions)
+
+    @property
+    def has_neutral(self) -> bool:
+        """Whether motion is known relative to the neutral face."""
+        return self.kind == "displacements" or bool(self._templates)
+
+    def motion(self, name: str) -> FloatArray:
+        """(T, V, 3) m, relative to the neutral face where that is known."""
+        file = read_motion(self._paths[name], self.num_vertices)
+        return self._placed(file, name, self.kind, self._scale)
+
+    def place(self, file: MotionFile, name: str, kind: str, scale: float | None) -> FloatArray:
+        """A prediction in the frame of :meth:`motion`."""
+        own = scale or file.metres_per_unit or self._scale
+        kind = self._kind_of(file, name, kind, own)
+        if kind != self.kind and not self._templates:
+            raise ValueError(
+                f"{name}: the prediction is {kind}, the ground truth {self.kind}; give --templates to "
+                "compare them"
+            )
+        return self._placed(file, name, kind, own)
+
+    def phones(self, name: str) -> Phones:
+        """Phones of a sequence."""
+        return [(float(a), float(b), str(label)) for a, b, label in self._phones.get(name, [])]
+
+    def audio(self, name: str) -> tuple[FloatArray, float] | None:
+        """Samples and rate of the recording of that name."""
+        if self.settings.wav is None:
+            return None
+        for suffix in _AUDIO_SUFFIXES:
+            path = self.settings.wav / f"{name}{suffix}"
+            if path.is_file():
+                sound = load_audio(path)
+                return np.asarray(sound.samples, dtype=np.float32), float(sound.sample_rate_hz)
+        return None
+
+    def emotion(self, name: str) -> str | None:
+        """The label of a sequence."""
+        label = self._emotions.get(name)
+        return None if label is None else str(label)
+
+    def describe(self) -> dict[str, Any]:
+        """Folder, unit, kind, templates."""
+        return {
+            "source": str(self.directory),
+            "layout": "folder of motion",
+            "kind": self.kind,
+            "metres_per_unit": self._scale,
+            "fps": self.fps,
+            "vertices": self.num_vertices,
+            "templates": None if self.settings.templates is None else str(self.settings.templates),
+        }
+
+    def _neutral(self, name: str) -> FloatArray | None:
+        """(V, 3) m of the speaker, ``None`` where no templates are given."""
+        if not self._templates:
+            return None
+        speaker = speaker_of(name, self._templates)
+        if speaker is None:
+            known = ", ".join(sorted(self._templates)[:5])
+            raise DatasetError(
+                f"sequence {name} begins with none of the templates' names ({known} …)"
+            )
+        return self._templates[speaker] * np.float32(self._scale)
+
+    def _kind_of(self, file: MotionFile, name: str, kind: str, scale: float) -> str:
+        if kind != "auto":
+            return kind
+        if file.is_displacement is not None:
+            return "displacements" if file.is_displacement else "vertices"
+        return guess_kind(file.frames[0], self._neutral(name), scale, name)
+
+    def _placed(self, file: MotionFile, name: str, kind: str, scale: float) -> FloatArray:
+        metres = file.frames * np.float32(scale)
+        neutral = self._neutral(name) if kind == "vertices" else None
+        return metres if neutral is None else metres - neutral
+
+
+def _read_json(path: Path | None) -> dict[str, Any]:
+    if path is None:
+        return {}
+    content = json.loads(path.read_text())
+    if not isinstance(content, dict):
+        raise DatasetError(f"{path} holds no mapping from sequences")
+    return content

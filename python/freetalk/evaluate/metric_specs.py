@@ -1,0 +1,249 @@
+"""Which metrics are scored, over which mask, and in which unit they are printed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+from freetalk.metrics import METRICS, metric_info
+
+#: As metrics give them, as tables print them, and the factor between.
+_SHOWN_UNITS = {"m": ("mm", 1e3), "m^2": ("mm^2", 1e6)}
+
+
+@dataclass(frozen=True)
+class MetricSpec:
+    """A metric over a mask.
+
+    Attributes:
+        key: as it is asked for, ``lve`` or ``delta_m@lips``.
+        name: of the metric.
+        title: as tables print it.
+        mask: name of a mask, or ``all``.
+        unit: as printed.
+        factor: from SI to the printed unit.
+        pooling: a test set's number is the mean over all its ``frames``, ``sequences`` or ``phones``.
+        ideal: what a perfect prediction scores.
+        two_sided: both sides of the ideal are possible, nearer is better.
+        formula: what is computed.
+        source: who defined it.
+    """
+
+    key: str
+    name: str
+    title: str
+    mask: str
+    unit: str
+    factor: float
+    pooling: str
+    ideal: float
+    two_sided: bool
+    formula: str
+    source: str
+
+    def distance(self, value: float) -> float:
+        """How far from ideal; less is better."""
+        return abs(value - self.ideal)
+
+    @property
+    def direction(self) -> str:
+        """``down``, ``up`` or ``near``: which way is better."""
+        if self.two_sided:
+            return "near"
+        return "up" if self.ideal > 0 else "down"
+
+
+def _extra(
+    name: str,
+    title: str,
+    unit: str,
+    ideal: float,
+    formula: str,
+    *,
+    mask: str = "lips",
+    pooling: str = "sequences",
+    two_sided: bool = False,
+    source: str = "freetalk",
+    factor: float = 1.0,
+) -> MetricSpec:
+    return MetricSpec(
+        name, name, title, mask, unit, factor, pooling, ideal, two_sided, formula, source
+    )
+
+
+#: Metrics that need more than two motions: lip pairs, phones, audio, labels or several samples.
+EXTRAS: dict[str, MetricSpec] = {
+    spec.name: spec
+    for spec in (
+        _extra("lip_correlation", "lip corr.", "1", 1, "Pearson's correlation of the lip openings"),
+        _extra(
+            "lip_offset_ms",
+            "lip offset",
+            "ms",
+            0,
+            "lag of the predicted behind the true lip opening",
+            two_sided=True,
+        ),
+        _extra(
+            "audio_offset_ms",
+            "audio offset",
+            "ms",
+            0,
+            "lag of the lip opening behind the audio's log energy",
+            two_sided=True,
+        ),
+        _extra(
+            "closure_rate",
+            "closures",
+            "1",
+            1,
+            "share of p, b, m at which the lips close to 15 % of the true largest opening",
+            pooling="phones",
+        ),
+        _extra(
+            "emotion_rate",
+            "emotion",
+            "1",
+            1,
+            "share of sequences whose emotion a nearest-centroid classifier reads, which knows the "
+            "ground truth of the others",
+            mask="upper",
+        ),
+        _extra(
+            "diversity_vertex",
+            "diversity",
+            "mm",
+            float("nan"),
+            "mean over pairs of samples, frames and vertices of |p_jtv - p_ltv|",
+            mask="all",
+            source="FaceDiffuser",
+            factor=1e3,
+        ),
+        _extra(
+            "lve_mean_estimate",
+            "MEE",
+            "mm^2",
+            0,
+            "LVE of the mean of the samples",
+            pooling="frames",
+            source="ProbTalk3D",
+            factor=1e6,
+        ),
+        _extra(
+            "lve_coverage",
+            "CE",
+            "mm^2",
+            0,
+            "least LVE of the samples",
+            pooling="frames",
+            source="ProbTalk3D",
+            factor=1e6,
+        ),
+    )
+}
+
+#: The metrics of FreeTalk's tables.
+PAPER = ("lve", "mve_mean", "fdd", "dtw", "dfd", "delta_m", "delta_cd")
+_DEFAULT = (*PAPER, "jitter_ratio", *EXTRAS)
+_NEEDS_PAIRS = ("lip_correlation", "lip_offset_ms", "audio_offset_ms", "closure_rate")
+_NEEDS_SAMPLES = ("diversity_vertex", "lve_mean_estimate", "lve_coverage")
+_NEEDS_NEUTRAL = ("fdd", "fdd_abs", "closure_rate", "emotion_rate")
+
+
+@dataclass(frozen=True)
+class Available:
+    """What the data has that some metrics need."""
+
+    masks: Collection[str]
+    pairs: bool
+    phones: bool
+    audio: bool
+    emotions: bool
+    neutral: bool
+    samples: bool
+
+
+def spec_of(key: str) -> MetricSpec:
+    """A metric by name, ``NAME`` or ``NAME@MASK``.
+
+    Raises:
+        ValueError: no such metric.
+    """
+    name, _, mask = key.partition("@")
+    if name in EXTRAS:
+        if mask and mask != EXTRAS[name].mask:
+            raise ValueError(f"{name} is measured over {EXTRAS[name].mask} only")
+        return EXTRAS[name]
+    info = metric_info(name)
+    unit, factor = _SHOWN_UNITS.get(info.unit, (info.unit, 1.0))
+    title = info.title if mask in ("", info.mask) else f"{info.title} @ {mask}"
+    return MetricSpec(
+        key=key,
+        name=name,
+        title=title,
+        mask=mask or info.mask,
+        unit=unit,
+        factor=factor,
+        pooling=info.pooling,
+        ideal=info.ideal,
+        two_sided=info.two_sided,
+        formula=info.formula,
+        source=info.source,
+    )
+
+
+def choose_metrics(
+    asked: Sequence[str], available: Available
+) -> tuple[list[MetricSpec], list[str]]:
+    """The metrics to score, and which of the usual ones are left out, and why.
+
+    Args:
+        asked: names; ``paper`` for those of FreeTalk's tables, ``all`` for every variant; empty for the
+            usual ones. What is asked for by name must be possible.
+        available: what the data has.
+
+    Raises:
+        ValueError: an unknown metric, or one that lacks what it needs.
+    """
+    groups = {"paper": PAPER, "all": (*METRICS, *EXTRAS)}
+    wanted: list[tuple[str, bool]] = []
+    for name in asked or ("usual",):
+        if name == "usual":
+            wanted += [(each, False) for each in _DEFAULT]
+        elif name in groups:
+            wanted += [(each, False) for each in groups[name]]
+        else:
+            wanted.append((name, True))
+    chosen: dict[str, MetricSpec] = {}
+    notes = []
+    for key, must in wanted:
+        spec = spec_of(key)
+        lacking = _lacking(spec, available)
+        if lacking is None:
+            chosen.setdefault(spec.key, spec)
+        elif must:
+            raise ValueError(f"{key} needs {lacking}")
+        elif spec.name not in _NEEDS_SAMPLES:
+            notes.append(f"{spec.name} left out: it needs {lacking}")
+    if not chosen:
+        raise ValueError("no metric can be scored: " + "; ".join(notes))
+    return list(chosen.values()), list(dict.fromkeys(notes))
+
+
+def _lacking(spec: MetricSpec, has: Available) -> str | None:
+    if spec.name in _NEEDS_PAIRS:
+        if not has.pairs:
+            return "--lip-pairs"
+    elif spec.mask != "all" and spec.mask not in has.masks:
+        return f"a mask called {spec.mask} (--masks {spec.mask}=FILE)"
+    if spec.name in _NEEDS_NEUTRAL and not has.neutral:
+        return "neutral faces (--templates)"
+    if spec.name == "closure_rate" and not has.phones:
+        return "--phones"
+    if spec.name == "audio_offset_ms" and not has.audio:
+        return "audio (--wav)"
+    if spec.name == "emotion_rate" and not has.emotions:
+        return "two sequences at least of each of two emotions (--emotions)"
+    if spec.name in _NEEDS_SAMPLES and not has.samples:
+        return "several samples of a sequence"
+    return None

@@ -1,0 +1,229 @@
+"""Motion as the systems of this field write it: one ``.npy`` or ``.npz`` a sequence."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from freetalk.data import DatasetError, NotFiniteError, load_pickle
+from freetalk.data.templates import read_mesh
+
+FloatArray = npt.NDArray[np.float32]
+
+Phones = list[tuple[float, float, str]]
+
+SUFFIXES = (".npy", ".npz")
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+#: Names of the motion in an ``.npz``, and whether it is displacements.
+_KEYS = {"displacements": True, "vertices": False, "verts": False, "prediction": None, "pred": None}
+
+
+@dataclass(frozen=True)
+class MotionFile:
+    """The content of a file.
+
+    Attributes:
+        frames: (T, V, 3) float, the file's unit.
+        is_displacement: where the file says so.
+        metres_per_unit: where the file says so.
+    """
+
+    frames: FloatArray
+    is_displacement: bool | None = None
+    metres_per_unit: float | None = None
+
+
+def motion_paths(directory: Path) -> list[Path]:
+    """The motion files of a folder, sorted."""
+    if not directory.is_dir():
+        raise FileNotFoundError(f"{directory} is no folder")
+    return sorted(path for path in directory.iterdir() if path.suffix in SUFFIXES)
+
+
+def read_motion(path: Path, num_vertices: int | None = None) -> MotionFile:
+    """Reads (T, V, 3) or (T, V * 3), also with a batch of one in front.
+
+    Args:
+        path: ``.npy``, or ``.npz`` with one array, or one called displacements, vertices, verts,
+            prediction or pred (as ``freetalk animate`` writes).
+        num_vertices: V, where it is known.
+
+    Raises:
+        DatasetError: another shape or type, or no such array; not finite, with the frame.
+    """
+    is_displacement: bool | None = None
+    metres: float | None = None
+    if path.suffix == ".npz":
+        with np.load(path, allow_pickle=False) as archive:
+            key = next((name for name in _KEYS if name in archive.files), None)
+            if key is None and len(archive.files) != 1:
+                known = ", ".join(_KEYS)
+                raise DatasetError(f"{path} holds {archive.files}; expected one of {known}")
+            key = key or archive.files[0]
+            array = archive[key]
+            is_displacement = _KEYS.get(key)
+            if "metres_per_unit" in archive.files:
+                metres = float(archive["metres_per_unit"])
+    else:
+        try:
+            array = np.load(path, mmap_mode="r", allow_pickle=False)
+        except ValueError as error:
+            raise DatasetError(f"{path} is no plain array: {error}") from error
+    frames = _frames(array, path, num_vertices)
+    finite = np.isfinite(frames).all(axis=(1, 2))
+    if not finite.all():
+        raise NotFiniteError(
+            f"{path}: frame {int(np.flatnonzero(~finite)[0])} holds NaN or infinity"
+        )
+    return MotionFile(frames, is_displacement, metres)
+
+
+def _frames(array: npt.NDArray[Any], path: Path, num_vertices: int | None) -> FloatArray:
+    found = f"{path} is {array.dtype} {array.shape}"
+    if array.dtype.kind != "f":
+        raise DatasetError(f"{found}; expected floating point")
+    if array.ndim == 4 or (array.ndim == 3 and array.shape[2] != 3):  # a batch in front
+        if array.shape[0] != 1:
+            raise DatasetError(f"{found}; expected one sequence, (T, V, 3) or (T, V * 3)")
+        array = array[0]
+    if array.ndim == 2 and array.shape[1] > 3 and array.shape[1] % 3 == 0:
+        array = array.reshape(len(array), -1, 3)
+    if array.ndim != 3 or array.shape[2] != 3 or array.size == 0:
+        raise DatasetError(f"{found}; expected (T, V, 3) or (T, V * 3)")
+    if num_vertices is not None and array.shape[1] != num_vertices:
+        raise DatasetError(
+            f"{found}: {array.shape[1]} vertices, the ground truth has {num_vertices}"
+        )
+    return np.array(array, dtype=np.float32)
+
+
+def unit_scale(text: str) -> float:
+    """Metres per unit: m, cm, mm, in, or a number."""
+    if text in UNITS:
+        return UNITS[text]
+    try:
+        scale = float(text)
+    except ValueError:
+        scale = 0.0
+    if not (np.isfinite(scale) and scale > 0):
+        raise ValueError(f"unknown unit {text!r}: give m, cm, mm, in, or metres per unit")
+    return scale
+
+
+def guess_kind(frame: FloatArray, neutral: FloatArray | None, scale: float, where: str) -> str:
+    """``vertices`` or ``displacements``: nearer to the neutral face or to zero; else by size.
+
+    Args:
+        frame: (V, 3), the file's unit.
+        neutral: (V, 3) m.
+        scale: metres per unit.
+        where: what messages call it.
+    """
+    metres = frame * np.float32(scale)
+    if neutral is not None:
+        is_face = np.square(metres - neutral).sum() < np.square(metres).sum()
+        return "vertices" if is_face else "displacements"
+    extent = float(np.linalg.norm(metres.max(axis=0) - metres.min(axis=0)))
+    if 0.05 < extent < 0.08:
+        raise ValueError(
+            f"{where}: vertices or displacements? Say so with --kind, or give --templates"
+        )
+    return "vertices" if extent >= 0.08 else "displacements"
+
+
+class NameMatcher:
+    """Finds the sequence that a prediction's file name belongs to.
+
+    Args:
+        names: sequences of the ground truth.
+        pattern: such as ``faceformer_{name}_condition_{sample}``. Without one: the name itself;
+            ``NAME_condition_STYLE`` (FaceFormer, CodeTalker, FaceDiffuser: the styles are samples);
+            ``NAME_3`` and ``NAME_sample3``.
+    """
+
+    _PATTERNS = (
+        "{name}",
+        "{name}_condition_{sample}",
+        "{name}_sample{number}",
+        "{name}_{number}",
+    )
+
+    def __init__(self, names: Collection[str], pattern: str | None = None) -> None:
+        if pattern is not None and "{name}" not in pattern:
+            raise ValueError(f"the pattern {pattern!r} lacks {{name}}")
+        self._names = frozenset(names)
+        self._patterns = [_regex(text) for text in ([pattern] if pattern else self._PATTERNS)]
+
+    def match(self, stem: str) -> str | None:
+        """The sequence, or ``None``."""
+        for pattern in self._patterns:
+            found = pattern.fullmatch(stem)
+            if found and found["name"] in self._names:
+                return found["name"]
+        return None
+
+    def group(self, paths: Iterable[Path]) -> tuple[dict[str, list[Path]], list[Path]]:
+        """Files by sequence, and those that belong to none."""
+        groups: dict[str, list[Path]] = {}
+        strangers = []
+        for path in paths:
+            name = self.match(path.stem)
+            if name is None:
+                strangers.append(path)
+            else:
+                groups.setdefault(name, []).append(path)
+        return groups, strangers
+
+
+def _regex(pattern: str) -> re.Pattern[str]:
+    text = re.escape(pattern)
+    for field, form in (("name", ".+"), ("sample", ".+"), ("number", r"\d+")):
+        text = text.replace(re.escape(f"{{{field}}}"), f"(?P<{field}>{form})")
+    return re.compile(text)
+
+
+def read_templates(path: Path) -> dict[str, FloatArray]:
+    """Neutral faces (V, 3) by speaker; a single mesh is everyone's, under the name ``''``.
+
+    Args:
+        path: ``templates.pkl`` or ``.npz`` (speaker to array), a folder of meshes or ``.npy`` named
+            after their speakers, or one mesh or ``.npy``.
+
+    Raises:
+        FileNotFoundError, ValueError: not there, or no faces.
+    """
+    if path.is_dir():
+        files = [p for p in sorted(path.iterdir()) if p.suffix.lower() in (".obj", ".ply", ".npy")]
+        faces = {file.stem: _single(file) for file in files}
+    elif path.suffix in (".pkl", ".npz"):
+        held = load_pickle(path) if path.suffix == ".pkl" else np.load(path, allow_pickle=False)
+        if not hasattr(held, "items"):
+            raise DatasetError(f"{path} holds no speakers and their faces")
+        faces = {str(name): np.asarray(points).reshape(-1, 3) for name, points in held.items()}
+    else:
+        faces = {"": _single(path)}
+    if not faces:
+        raise DatasetError(f"{path} holds no neutral face (.obj, .ply or .npy)")
+    return {name: np.asarray(points, dtype=np.float32) for name, points in faces.items()}
+
+
+def _single(path: Path) -> FloatArray:
+    if path.suffix != ".npy":
+        return read_mesh(path)[0]
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no file {path}")
+    return np.asarray(np.load(path, allow_pickle=False), dtype=np.float32).reshape(-1, 3)
+
+
+def speaker_of(name: str, speakers: Collection[str]) -> str | None:
+    """The longest speaker that a sequence's name begins with, as a whole word (``F1`` of ``F1_e37``)."""
+    if "" in speakers:
+        return ""
+    fitting = [s for s in speakers if name == s or re.match(re.escape(s) + r"[^A-Za-z0-9]", name)]
+    return max(fitting, key=len, default=None)

@@ -1,0 +1,191 @@
+"""From the values of sequences to a result: pooled means, confidence intervals, paired tests."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+import freetalk
+from freetalk import metrics
+from freetalk.data import Mask
+from freetalk.evaluate.ground_truth import GroundTruth
+from freetalk.evaluate.masks import describe_masks
+from freetalk.evaluate.metric_specs import MetricSpec
+from freetalk.evaluate.predictions import Scores, describe_systems
+
+FORMAT = "freetalk-scores"
+
+
+@dataclass(frozen=True)
+class StatisticsSettings:
+    """Intervals and tests.
+
+    Attributes:
+        confidence: of the intervals.
+        num_resamples: bootstrap resamples, and sign patterns of the permutation test.
+        method: of the bootstrap, ``bca`` or ``percentile``.
+        seed: same seed, same numbers.
+        baseline: system that the others are compared with; ``None``: the first.
+    """
+
+    confidence: float = 0.95
+    num_resamples: int = 10000
+    method: str = "bca"
+    seed: int = 0
+    baseline: str | None = None
+
+
+def make_report(
+    scores: Scores, truth: GroundTruth, masks: dict[str, Mask], settings: StatisticsSettings
+) -> dict[str, Any]:
+    """A result that can be written as JSON and printed as a table.
+
+    Every metric has, for each system, the pooled mean with its interval and the values of the
+    sequences; with several systems, paired tests against the baseline. Tests compare distances from the
+    ideal, so that a signed metric (FDD) is better the nearer it is to 0. ``p_holm`` is the permutation
+    test's p-value corrected for all metrics and systems of the report.
+
+    Raises:
+        ValueError: no system is called as the baseline is.
+    """
+    names = [system.name for system in scores.systems]
+    baseline = settings.baseline or names[0]
+    if baseline not in names:
+        raise ValueError(f"no system is called {baseline!r}; there are {', '.join(names)}")
+    rows = [_row(spec, scores, settings) for spec in scores.specs]
+    others = [name for name in names if name != baseline]
+    tests = [
+        test
+        for spec, row in zip(scores.specs, rows)
+        for name in others
+        if (test := _compare(spec, row, scores, name, baseline, settings)) is not None
+    ]
+    for test, corrected in zip(tests, metrics.holm([t["p_permutation"] for t in tests])):
+        test["p_holm"] = corrected
+    return {
+        "format": FORMAT,
+        "version": 1,
+        "freetalk": freetalk.__version__,
+        "ground_truth": {**truth.describe(), "sequences_scored": len(scores.names)},
+        "masks": describe_masks(masks, truth.num_vertices),
+        "frames": sum(scores.frames.values()),
+        "systems": describe_systems(scores, truth),
+        "baseline": baseline if others else None,
+        "metrics": rows,
+        "statistics": {
+            "intervals": f"{settings.method} bootstrap over sequences",
+            "confidence": settings.confidence,
+            "resamples": settings.num_resamples,
+            "seed": settings.seed,
+        },
+        "notes": [*scores.notes, *_notes(scores)],
+    }
+
+
+def pooled(
+    spec: MetricSpec,
+    values: dict[str, float],
+    weights: dict[str, float],
+    settings: StatisticsSettings,
+) -> dict[str, Any]:
+    """Mean, interval and the values that they are of."""
+    options = metrics.BootstrapOptions(
+        num_resamples=settings.num_resamples, confidence=settings.confidence, method=settings.method
+    )
+    interval = metrics.bootstrap_mean(
+        list(values.values()), [weights[n] for n in values], options=options, seed=settings.seed
+    )
+    return {
+        "mean": interval.mean,
+        "low": _known(interval.low),
+        "high": _known(interval.high),
+        "sequences": len(values),
+        "per_sequence": values,
+    }
+
+
+def _row(spec: MetricSpec, scores: Scores, settings: StatisticsSettings) -> dict[str, Any]:
+    weights = scores.weights[spec.key]
+    reference = scores.reference[spec.key]
+    return {
+        "metric": spec.key,
+        "title": spec.title,
+        "mask": spec.mask,
+        "unit": spec.unit,
+        "mean_over": spec.pooling,
+        "better": spec.direction,
+        "ideal": _known(spec.ideal),
+        "formula": spec.formula,
+        "source": spec.source,
+        "systems": {
+            name: pooled(spec, values, weights, settings)
+            for name, values in scores.values[spec.key].items()
+            if values
+        },
+        "ground_truth": pooled(spec, reference, weights, settings) if reference else None,
+        "paired": {},
+    }
+
+
+def _compare(
+    spec: MetricSpec,
+    row: dict[str, Any],
+    scores: Scores,
+    name: str,
+    baseline: str,
+    settings: StatisticsSettings,
+) -> dict[str, Any] | None:
+    """Adds the paired tests of a system to a row."""
+    ours, theirs = scores.values[spec.key][name], scores.values[spec.key][baseline]
+    shared = [n for n in ours if n in theirs]
+    if not shared or math.isnan(spec.ideal):
+        return None
+    a = torch.tensor([spec.distance(ours[n]) for n in shared], dtype=torch.float64)
+    b = torch.tensor([spec.distance(theirs[n]) for n in shared], dtype=torch.float64)
+    weights = torch.tensor([scores.weights[spec.key][n] for n in shared], dtype=torch.float64)
+    permutation = metrics.permutation_test(
+        a, b, weights, num_resamples=settings.num_resamples, seed=settings.seed
+    )
+    wilcoxon = metrics.wilcoxon_test(a, b)
+    test = {
+        "against": baseline,
+        "difference": permutation.statistic,
+        "sequences_better": int((a < b).sum()),
+        "sequences_worse": int((a > b).sum()),
+        "p_permutation": permutation.p_value,
+        "p_wilcoxon": wilcoxon.p_value,
+    }
+    row["paired"][name] = test
+    return test
+
+
+def _notes(scores: Scores) -> list[str]:
+    notes = []
+    for system in scores.systems:
+        if system.cut:
+            most = max(abs(a - b) for a, b in system.cut.values())
+            notes.append(
+                f"{system.name}: {len(system.cut)} of {len(scores.names)} sequences differ in length from "
+                f"the ground truth, by at most {most} frames; both were cut to the shorter"
+            )
+        if system.strangers:
+            notes.append(
+                f"{system.name}: {len(system.strangers)} files belong to no sequence of the ground truth "
+                f"({system.strangers[0].name} …)"
+            )
+        left = len(system.files) - len(scores.names)
+        if left:
+            notes.append(f"{system.name}: {left} of its sequences lack in another system")
+    for spec in scores.specs:
+        for name, values in scores.values[spec.key].items():
+            lost = len(scores.names) - len(values)
+            if lost and values and spec.pooling != "phones":
+                notes.append(f"{spec.key}: {lost} sequences of {name} have no value")
+    return notes
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else value
