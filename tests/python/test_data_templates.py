@@ -76,12 +76,20 @@ def test_lists_of_another_mesh_are_refused(tmp_path: Path) -> None:
         read_mask(tmp_path / "bad.pkl", 400)
 
 
-@pytest.mark.parametrize("name", ["embedding.pkl", "landmark_embedding.npy"])
+NAMES = ["embedding.pkl", "landmark_embedding.npy", "flame_static_embedding.pkl"]
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_barycentric_landmarks_lie_on_their_faces(tmp_path: Path, name: str) -> None:
     vertices, faces = face(*SIZE)
     rng = np.random.default_rng(0)
     rows, weights = rng.integers(0, len(faces), 68), rng.dirichlet([1, 1, 1], 68)
-    if name.endswith("pkl"):
+    if name.startswith("flame"):
+        jaw = {"lmk_face_idx": np.stack([rows[:17]] * 3), "lmk_b_coords": weights[None, :17]}
+        np.save(tmp_path / "flame_dynamic_embedding.npy", np.array(jaw, dtype=object))
+        content = {"lmk_face_idx": rows[17:], "lmk_b_coords": weights[17:]}
+        (tmp_path / name).write_bytes(pickle.dumps(content, protocol=2))
+    elif name.endswith("pkl"):
         content = {"lmk_face_idx": rows.astype(np.uint32), "lmk_b_coords": weights}
         (tmp_path / name).write_bytes(pickle.dumps(content, protocol=2))
     else:  # as DECA keeps it: a mapping inside an array of objects

@@ -61,7 +61,8 @@ def _lines(facts: dict[str, Any]) -> list[str]:
     for key, value in facts.items():
         if isinstance(value, dict) and "sha256" in value:
             source = f" from {value['source']}" if "source" in value else ""
-            value = f"{value['count']} ({value['sha256']}){source}"
+            known = f", {value['known_as']}" if value.get("known_as") else ""
+            value = f"{value['count']} ({value['sha256']}){source}{known}"
         elif isinstance(value, dict) and any(isinstance(v, dict) for v in value.values()):
             value = f"{len(value)}: {', '.join(map(str, value))}"
         elif isinstance(value, dict):

@@ -18,6 +18,11 @@ from freetalk.data.registered import RegisteredDataset
 #: A vertex of a face that speaks moves less than this (m); more means another template, unit or pose.
 _LARGEST_MOTION_M = 0.08
 _BLOCK = 64
+#: Masks, and what is lost without them.
+_MASKS = (
+    ("lip_mask", "lips weigh as the rest, and lip metrics cannot be computed"),
+    ("upper_face_mask", "metrics of the upper face cannot be computed"),
+)
 
 
 @dataclass
@@ -113,10 +118,8 @@ def _check_splits(dataset: MotionDataset, report: DatasetReport) -> None:
 
 def _check_template(dataset: RegisteredDataset, report: DatasetReport) -> None:
     described = dataset.template.describe()
-    for key, loss in (
-        ("lip_mask", "lips weigh as the rest, and lip metrics cannot be computed"),
-        ("upper_face_mask", "metrics of the upper face cannot be computed"),
-    ):
+    masks = () if len(dataset.template.faces) == 0 else _MASKS
+    for key, loss in masks:
         if described[key] is None:
             report.warnings.append(f"no file says which vertices are the {key}: {loss}")
     if dataset.pose.unit == "normalised":

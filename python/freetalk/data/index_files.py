@@ -18,6 +18,9 @@ from freetalk.data.safe_pickle import load_pickle, read_pickle
 
 IndexArray = npt.NDArray[np.int64]
 SUFFIXES = (".json", ".txt", ".npy", ".npz", ".mat", ".pkl")
+#: File of FLAME's jaw line, and rows of the embedding that it completes.
+CONTOUR = "flame_dynamic_embedding.npy"
+_STATIC = 51
 _HASH_DIGITS = 16
 
 
@@ -124,8 +127,9 @@ def read_landmarks(path: Path, faces: npt.NDArray[Any], num_vertices: int) -> La
     """The 68 landmarks: vertex indices in iBUG order, or points on faces as FLAME's embeddings.
 
     Understood are 68 indices, a mapping with ``landmarks`` (as ``freetalk mesh landmarks`` writes),
-    one with ``lmk_face_idx`` and ``lmk_b_coords`` of 68 rows, and DECA's ``landmark_embedding.npy``
-    (``full_lmk_faces_idx``, ``full_lmk_bary_coords``).
+    one with ``lmk_face_idx`` and ``lmk_b_coords`` of 68 rows or with the ``full_lmk_faces_idx`` and
+    ``full_lmk_bary_coords`` of DECA, and FLAME's ``flame_static_embedding.pkl`` (51 rows) beside its
+    ``flame_dynamic_embedding.npy``, whose contour at angle 0 gives the 17 of the jaw.
 
     Raises:
         DatasetError: not readable, or other than 68 landmarks.
@@ -138,7 +142,15 @@ def read_landmarks(path: Path, faces: npt.NDArray[Any], num_vertices: int) -> La
             ("full_lmk_faces_idx", "full_lmk_bary_coords"),
         ):
             if face_key in content and weight_key in content:
-                return _embedded(content[face_key], content[weight_key], faces, path)
+                rows, weights = (
+                    np.ravel(content[face_key]),
+                    np.reshape(content[weight_key], (-1, 3)),
+                )
+                if len(rows) == _STATIC:
+                    jaw_rows, jaw_weights = _contour(path.with_name(CONTOUR))
+                    rows = np.concatenate([jaw_rows, rows])
+                    weights = np.concatenate([jaw_weights, weights])
+                return _embedded(rows, weights, faces, path)
         if "landmarks" not in content:
             raise DatasetError(
                 f"{path} names no landmarks; it holds {', '.join(map(str, content))}"
@@ -155,6 +167,19 @@ def read_landmarks(path: Path, faces: npt.NDArray[Any], num_vertices: int) -> La
     weights = np.zeros((NUM_LANDMARKS, 3), dtype=np.float32)
     weights[:, 0] = 1
     return Landmarks(np.repeat(indices[:, None], 3, axis=1), weights, str(path))
+
+
+def _contour(path: Path) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Faces (17,) and weights (17, 3) of FLAME's jaw line seen from the front."""
+    if not path.is_file():
+        raise DatasetError(
+            f"{path} is missing: it holds the 17 landmarks of the jaw that {path.parent} lacks"
+        )
+    content = _npy(path)
+    keys = ("lmk_face_idx", "lmk_b_coords")
+    if not isinstance(content, dict) or any(key not in content for key in keys):
+        raise DatasetError(f"{path} holds no {' and '.join(keys)}")
+    return np.ravel(content[keys[0]][0]), np.reshape(content[keys[1]][0], (-1, 3))
 
 
 def _embedded(face_rows: Any, weights: Any, faces: npt.NDArray[Any], path: Path) -> Landmarks:

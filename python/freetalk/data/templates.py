@@ -33,13 +33,18 @@ KNOWN_COUNTS: dict[tuple[int, int], str] = {
     (5023, 9976): "FLAME",
     (3895, 7539): "BIWI_6",
     (5471, 10837): "Multiface",
-    (23370, 46356): "BIWI",
+    (23370, 46068): "BIWI",
 }
 #: Hash of the triangles where it is known; other counts of triangles are another file of the mesh.
-KNOWN_FACES: dict[str, str] = {"FLAME": "c495737954d54708"}
+KNOWN_FACES: dict[str, str] = {"FLAME": "c495737954d54708", "BIWI": "575d645a7fda0577"}
+#: Hash of landmark lists of public code.
+KNOWN_LANDMARKS: dict[str, str] = {
+    "0d62153ad4ff0a4c": "FLAME's static embedding and its jaw line at angle 0",
+    "1e40b8108b41c29b": "FLAME, full_lmk of DECA's landmark_embedding.npy",
+}
 
 _FOLDERS = ("", "template", "templates", "flame_model", "regions")
-_LANDMARK_NAMES = ("landmarks68", "landmarks", "landmark_embedding")
+_LANDMARK_NAMES = ("landmarks68", "landmarks", "landmark_embedding", "flame_static_embedding")
 _LIP_NAMES = ("lip_mask", "lips", "mouth_indices", "FLAME_lips_idx", "lve")
 _UPPER_NAMES = ("upper_mask", "upper_face_mask", "upper_indices", "fdd")
 #: Regions of ``FLAME_masks.pkl``.
@@ -90,11 +95,15 @@ class Template:
             "lip_mask": self.lip_mask,
             "upper_face_mask": self.upper_face_mask,
         }
+        described = {k: None if item is None else item.describe() for k, item in lists.items()}
+        if described["landmarks"] is not None:
+            known_as = KNOWN_LANDMARKS.get(described["landmarks"]["sha256"])
+            described["landmarks"]["known_as"] = known_as
         return {
             "template": self.name,
             "vertices": self.num_vertices,
             "faces": {"count": len(self.faces), "sha256": faces, "recognised": known == faces},
-            **{key: None if item is None else item.describe() for key, item in lists.items()},
+            **described,
         }
 
 
