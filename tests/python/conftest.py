@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from dataset_layouts import WRITERS, place
 
 
 @pytest.fixture
@@ -20,6 +19,8 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="session")
 def layouts(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a dataset of each layout; not to be written to."""
+    from dataset_layouts import WRITERS  # here, so that tests without datasets import nothing
+
     root = tmp_path_factory.mktemp("layouts")
     for name, write in WRITERS.items():
         write(root / name)
@@ -29,6 +30,8 @@ def layouts(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def broken(layouts: Path, tmp_path: Path) -> Callable[[str], Path]:
     """A copy of a layout to break."""
+
+    from dataset_layouts import place
 
     def copy(name: str) -> Path:
         shutil.copytree(layouts / name, tmp_path / name)
