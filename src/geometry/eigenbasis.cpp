@@ -1,228 +1,273 @@
 #include "freetalk/geometry/eigenbasis.h"
 
-#include <Spectra/SymEigsSolver.h>
 #include <Eigen/Eigenvalues>
-#include <Eigen/SparseCholesky>
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <numbers>
 #include <numeric>
-#include <optional>
+#include <vector>
 
+#include "block_lanczos.h"
+#include "eigen_problem.h"
 #include "freetalk/core/error.h"
 
 namespace freetalk::geometry {
 namespace {
 
-using Factor = Eigen::SimplicialLDLT<SparseMatrix>;
-
-/// y = P D^1/2 (L + s D)^-1 D^1/2 P x, P the projection onto the complement of `known` (in the
-/// D^1/2 metric).
-class ShiftInvertOperator {
- public:
-  using Scalar = double;
-
-  ShiftInvertOperator(const Factor& factor, const Eigen::VectorXd& root_mass,
-                      const Eigen::MatrixXd& known)
-      : factor_(factor), root_mass_(root_mass), known_(known) {}
-
-  Eigen::Index rows() const { return root_mass_.size(); }
-  Eigen::Index cols() const { return root_mass_.size(); }
-
-  void perform_op(const double* in, double* out) const {
-    const Eigen::Index n = rows();
-    Eigen::VectorXd x = Eigen::Map<const Eigen::VectorXd>(in, n);
-    project(x);
-    x.array() *= root_mass_.array();
-    Eigen::VectorXd y = factor_.solve(x);
-    y.array() *= root_mass_.array();
-    project(y);
-    Eigen::Map<Eigen::VectorXd>(out, n) = y;
-  }
-
- private:
-  void project(Eigen::VectorXd& x) const {
-    if (known_.cols() > 0) x -= known_ * (known_.transpose() * x);
-  }
-
-  const Factor& factor_;
-  const Eigen::VectorXd& root_mass_;
-  const Eigen::MatrixXd& known_;
+/// A connected part: its vertices and its own problem.
+struct Part {
+  std::vector<int> vertices;  // ascending
+  EigenProblem problem;
 };
 
-struct Problem {
-  SparseMatrix laplacian;  // L + 1e-8 I
-  const Eigen::VectorXd& mass;
-  Eigen::VectorXd root_mass;
-  double shift = 0.0;       // s > 0: (L + s M)^-1 is applied, so the smallest come first
-  double first_eval = 0.0;  // 4 pi / area, Weyl's estimate of the first
-};
-
-SparseMatrix shifted(const Problem& problem, double amount) {
-  SparseMatrix matrix = problem.laplacian;
-  for (Eigen::Index i = 0; i < matrix.rows(); ++i)
-    matrix.coeffRef(i, i) += amount * problem.mass[i];
-  return matrix;
+/// (V,) part of each vertex, numbered in order of first vertex: parts share no weight of L.
+std::vector<int> part_labels(const SparseMatrix& laplacian) {
+  std::vector<int> parent(static_cast<size_t>(laplacian.rows()));
+  std::iota(parent.begin(), parent.end(), 0);
+  const auto root = [&parent](int v) {
+    while (parent[v] != v) v = parent[v] = parent[parent[v]];
+    return v;
+  };
+  for (int column = 0; column < laplacian.outerSize(); ++column) {
+    for (SparseMatrix::InnerIterator it(laplacian, column); it; ++it) {
+      if (it.value() == 0.0) continue;
+      const int a = root(static_cast<int>(it.row()));
+      const int b = root(column);
+      parent[std::max(a, b)] = std::min(a, b);
+    }
+  }
+  std::vector<int> labels(parent.size());
+  int count = 0;
+  for (size_t v = 0; v < parent.size(); ++v) {
+    const auto r = static_cast<size_t>(root(static_cast<int>(v)));  // r <= v: its label is set.
+    labels[v] = r == v ? count++ : labels[r];
+  }
+  return labels;
 }
 
-Eigen::VectorXd residuals_of(const Problem& problem, const Eigenbasis& basis) {
-  const Eigen::MatrixXd applied = problem.laplacian * basis.evecs;
+std::vector<Part> split(const SparseMatrix& laplacian, const Eigen::VectorXd& mass) {
+  const std::vector<int> labels = part_labels(laplacian);
+  std::vector<Part> parts(static_cast<size_t>(*std::max_element(labels.begin(), labels.end()) + 1));
+  std::vector<int> index(labels.size());  // within the part
+  for (size_t v = 0; v < labels.size(); ++v) {
+    std::vector<int>& vertices = parts[static_cast<size_t>(labels[v])].vertices;
+    index[v] = static_cast<int>(vertices.size());
+    vertices.push_back(static_cast<int>(v));
+  }
+  for (Part& part : parts) {
+    EigenProblem& problem = part.problem;
+    if (parts.size() == 1) {
+      problem.laplacian = laplacian;
+      problem.mass = mass;
+    } else {
+      const auto size = static_cast<Eigen::Index>(part.vertices.size());
+      problem.mass = mass(part.vertices);
+      problem.laplacian.resize(size, size);
+      for (Eigen::Index i = 0; i < size; ++i) {
+        problem.laplacian.startVec(i);
+        const int vertex = part.vertices[static_cast<size_t>(i)];
+        for (SparseMatrix::InnerIterator it(laplacian, vertex); it; ++it) {
+          if (labels[it.row()] != labels[vertex]) continue;  // a weight of zero
+          problem.laplacian.insertBack(index[it.row()], i) = it.value();
+        }
+      }
+      problem.laplacian.finalize();
+    }
+    problem.first_eval = 4.0 * std::numbers::pi / problem.mass.sum();
+  }
+  return parts;
+}
+
+/// (K,) see Eigenbasis::residuals.
+Eigen::VectorXd residuals_of(const SparseMatrix& laplacian, const Eigen::VectorXd& mass,
+                             const Eigenbasis& basis) {
+  const Eigen::MatrixXd applied = laplacian * basis.evecs;
+  const double first_eval = 4.0 * std::numbers::pi / mass.sum();
   // Weights of needle-like faces are huge, and so is their rounding: it is no fault of the
   // eigenpair.
-  const double rounding = 1e-8 * problem.laplacian.diagonal().maxCoeff();
+  const double rounding = 1e-8 * laplacian.diagonal().maxCoeff();
   Eigen::VectorXd residuals(basis.evals.size());
   for (Eigen::Index i = 0; i < residuals.size(); ++i) {
-    const Eigen::VectorXd weighted = problem.mass.cwiseProduct(basis.evecs.col(i));
-    const double scale = std::max(std::abs(basis.evals[i]), problem.first_eval) * weighted.norm() +
+    const Eigen::VectorXd weighted = mass.cwiseProduct(basis.evecs.col(i));
+    const double scale = std::max(std::abs(basis.evals[i]), first_eval) * weighted.norm() +
                          rounding * basis.evecs.col(i).norm();
     residuals[i] = (applied.col(i) - basis.evals[i] * weighted).norm() / scale;
   }
   return residuals;
 }
 
-Eigenbasis dense_basis(const Problem& problem, int64_t k) {
-  const Eigen::VectorXd inverse_root = problem.root_mass.cwiseInverse();
-  const Eigen::MatrixXd matrix =
-      inverse_root.asDiagonal() * Eigen::MatrixXd(problem.laplacian) * inverse_root.asDiagonal();
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(matrix);
-  Eigenbasis basis;
-  basis.evals = solver.eigenvalues().head(k);
-  basis.evecs = inverse_root.asDiagonal() * solver.eigenvectors().leftCols(k);
-  return basis;
+bool use_dense(const std::string& solver, int64_t size, int64_t count) {
+  // Where the space Lanczos needs is not far from all there is, a full decomposition is faster.
+  const int64_t needed =
+      solver == "spectra" ? 2 * count + 2 : block_lanczos_dimension(count) + kBlockWidth;
+  constexpr int64_t kSmall = 128;
+  return solver == "dense" || size <= std::max(kSmall, 5 * needed / 4);
 }
 
-/// Pairs of the complement of `known`: eigenvectors of the normalised problem (orthonormal) and
-/// evals, ascending.
-struct NormalizedPairs {
-  Eigen::VectorXd evals;
-  Eigen::MatrixXd vectors;
-};
-
-std::optional<NormalizedPairs> lanczos(const Problem& problem, const Factor& factor,
-                                       const Eigen::MatrixXd& known, Eigen::Index count,
-                                       Eigen::Index subspace) {
-  ShiftInvertOperator op(factor, problem.root_mass, known);
-  Spectra::SymEigsSolver<ShiftInvertOperator> solver(op, count, subspace);
-  solver.init();
-  constexpr int kMaxRestarts = 300;
-  constexpr double kTolerance =
-      1e-10;  // of the inverted problem; the residuals below are what is promised
-  solver.compute(Spectra::SortRule::LargestAlge, kMaxRestarts, kTolerance);
-  if (solver.info() != Spectra::CompInfo::Successful) return std::nullopt;
-  NormalizedPairs pairs;
-  pairs.evals = solver.eigenvalues().cwiseInverse().array() - problem.shift;
-  pairs.vectors = solver.eigenvectors();
-  return pairs;
-}
-
-/// Number of eigenvalues below `bound`, from the signs of a factorisation; -1 if it breaks down.
-Eigen::Index count_below(const Problem& problem, double bound) {
-  const Factor factor(shifted(problem, -bound));
-  if (factor.info() != Eigen::Success) return -1;
-  const Eigen::VectorXd pivots = factor.vectorD();
-  if (!pivots.allFinite()) return -1;
-  return (pivots.array() < 0.0).count();
-}
-
-void sort_ascending(NormalizedPairs& pairs) {
-  std::vector<Eigen::Index> order(static_cast<size_t>(pairs.evals.size()));
-  std::iota(order.begin(), order.end(), 0);
-  std::sort(order.begin(), order.end(),
-            [&](Eigen::Index a, Eigen::Index b) { return pairs.evals[a] < pairs.evals[b]; });
-  const NormalizedPairs old = pairs;
-  for (size_t i = 0; i < order.size(); ++i) {
-    pairs.evals[static_cast<Eigen::Index>(i)] = old.evals[order[i]];
-    pairs.vectors.col(static_cast<Eigen::Index>(i)) = old.vectors.col(order[i]);
-  }
-}
-
-/// The widest gap among the last few eigenvalues: a bound between two clusters, where counting is
-/// safe.
-Eigen::Index last_safe_count(const Eigen::VectorXd& evals) {
-  const Eigen::Index count = evals.size();
-  Eigen::Index best = count - 1;
-  for (Eigen::Index i = std::max<Eigen::Index>(1, count - 8); i < count; ++i) {
-    if (evals[i] - evals[i - 1] > evals[best] - evals[best - 1]) best = i;
-  }
-  return best;
-}
-
-/// Adds eigenpairs Lanczos stepped over until the count below the last agrees with Sylvester's law.
-bool complete(const Problem& problem, const Factor& factor, NormalizedPairs& pairs) {
-  constexpr int kMaxRounds = 8;
-  for (int round = 0; round < kMaxRounds; ++round) {
-    if (pairs.evals.size() < 2) return true;
-    const Eigen::Index safe = last_safe_count(pairs.evals);
-    const double bound = 0.5 * (pairs.evals[safe - 1] + pairs.evals[safe]);
-    const Eigen::Index missing = count_below(problem, bound) - safe;
-    if (missing <= 0) return true;  // Negative: rounding in a cluster at the bound, or a breakdown.
-    const Eigen::Index room = problem.mass.size() - pairs.evals.size();
-    const Eigen::Index extra = std::min<Eigen::Index>(missing + 2, room - 1);
-    if (extra < 1) return false;
-    const Eigen::Index subspace =
-        std::min<Eigen::Index>(std::max<Eigen::Index>(3 * extra, 20), room);
-    std::optional<NormalizedPairs> more = lanczos(problem, factor, pairs.vectors, extra, subspace);
-    if (!more) return false;
-    NormalizedPairs all;
-    all.evals.resize(pairs.evals.size() + extra);
-    all.evals << pairs.evals, more->evals;
-    all.vectors.resize(problem.mass.size(), all.evals.size());
-    all.vectors << pairs.vectors, more->vectors;
-    sort_ascending(all);
-    pairs = std::move(all);
-  }
-  return false;
-}
-
-}  // namespace
-
-Eigenbasis eigenbasis(const SparseMatrix& laplacian, const Eigen::VectorXd& mass, int64_t k,
-                      double tolerance, const std::string& name) {
-  const Eigen::Index count = mass.size();
-  FREETALK_CHECK(k >= 1, "eigenbasis of ", name, " needs at least 1 eigenpair, asked for ", k);
-  FREETALK_CHECK(k <= count, "eigenbasis of ", name, " was asked for ", k,
-                 " eigenpairs but the mesh has ", count, " vertices; use k_eig <= ", count);
-  const double area = mass.sum();
-  FREETALK_CHECK(std::isfinite(area) && mass.minCoeff() > 0.0, "eigenbasis of ", name,
-                 " needs a positive mass at every vertex; the surface has no area");
-  SparseMatrix identity(count, count);
-  identity.setIdentity();
-  const double first_eval = 4.0 * std::numbers::pi / area;
-  Problem problem{laplacian + 1e-8 * identity, mass, mass.cwiseSqrt(), first_eval, first_eval};
-
-  const auto finish = [&](Eigenbasis basis) {
-    basis.residuals = residuals_of(problem, basis);
-    basis.evals = basis.evals.cwiseMax(0.0);
+/// Solves one part with larger shifts and subspaces until the residuals are small enough.
+Eigenbasis solve_part(const EigenProblem& problem, int64_t count, const EigenbasisOptions& options,
+                      const std::string& name, const std::function<void(double)>& progress) {
+  const auto with_residuals = [&](EigenPairs pairs) {
+    Eigenbasis basis{std::move(pairs.evals), std::move(pairs.evecs), {}};
+    basis.residuals = residuals_of(problem.laplacian, problem.mass, basis);
     return basis;
   };
-  constexpr Eigen::Index kDenseLimit = 400;  // Dense is faster below, and has no subspace to fit.
-  if (count <= kDenseLimit || 2 * k + 2 > count) return finish(dense_basis(problem, k));
-
-  double worst = 0.0;
-  Eigen::Index subspace = std::min<Eigen::Index>(std::max<Eigen::Index>(2 * k + 1, 40), count);
-  for (int attempt = 0; attempt < 3; ++attempt) {
-    const Factor factor(shifted(problem, problem.shift));
-    FREETALK_RUNTIME_CHECK(factor.info() == Eigen::Success, "the Laplacian of ", name,
-                           " cannot be factored; repair the mesh (NaN, huge or tiny coordinates)");
-    std::optional<NormalizedPairs> pairs = lanczos(problem, factor, Eigen::MatrixXd(), k, subspace);
-    if (pairs) {
-      sort_ascending(*pairs);
-      const bool all_found = complete(problem, factor, *pairs);
-      Eigenbasis basis;
-      basis.evals = pairs->evals.head(k);
-      basis.evecs = problem.root_mass.cwiseInverse().asDiagonal() * pairs->vectors.leftCols(k);
-      basis = finish(std::move(basis));
-      worst = basis.residuals.maxCoeff();
-      if (all_found && worst <= tolerance) return basis;
-    }
-    subspace = std::min<Eigen::Index>(2 * subspace, count);
-    problem.shift *= 10.0;
+  if (use_dense(options.solver, problem.mass.size(), count)) {
+    return with_residuals(dense_eigenpairs(problem, count));
   }
-  FREETALK_RUNTIME_CHECK(false, "the eigenbasis of ", name, " did not converge (", k,
+  double worst = std::numeric_limits<double>::infinity();
+  // A shift within the wanted eigenvalues, of which there are about `count` up to count first_eval,
+  // costs few dimensions and keeps the largest theta near the others.
+  const double shift = problem.first_eval * std::max(1.0, static_cast<double>(count) / 25.0);
+  EigenRequest request{count, options.tolerance, shift, 1, name, progress};
+  for (int attempt = 0; attempt < 3; ++attempt) {
+    auto pairs = options.solver == "spectra" ? spectra_eigenpairs(problem, request)
+                                             : block_eigenpairs(problem, request);
+    if (pairs) {
+      Eigenbasis basis = with_residuals(first_pairs(*std::move(pairs), count));
+      worst = basis.residuals.maxCoeff();
+      if (worst <= options.tolerance) return basis;
+    }
+    request.room *= 2;
+    request.shift *= 10.0;
+  }
+  FREETALK_RUNTIME_CHECK(false, "the eigenbasis of ", name, " did not converge (", count,
                          " eigenpairs, largest residual ", worst,
                          "); use a smaller k_eig or repair the mesh");
   return {};
+}
+
+/// How many pairs of each part to compute first: its share of the area says how many there are
+/// below a bound (Weyl's law), boundaries add to it.
+std::vector<int64_t> first_counts(const std::vector<Part>& parts, double area, int64_t k) {
+  std::vector<int64_t> counts;
+  for (const Part& part : parts) {
+    const auto size = static_cast<int64_t>(part.vertices.size());
+    const double share = static_cast<double>(k) * part.problem.mass.sum() / area;
+    const int64_t likely =
+        parts.size() == 1 ? k : static_cast<int64_t>(1.1 * share + 2.0 * std::sqrt(share)) + 2;
+    counts.push_back(std::min({likely, k, size}));
+  }
+  return counts;
+}
+
+/// A pair of one part.
+struct Candidate {
+  double eval;
+  size_t part;
+  int64_t index;
+};
+
+std::vector<Candidate> smallest(const std::vector<Eigenbasis>& bases, int64_t k) {
+  std::vector<Candidate> all;
+  for (size_t p = 0; p < bases.size(); ++p) {
+    for (Eigen::Index i = 0; i < bases[p].evals.size(); ++i) {
+      all.push_back({bases[p].evals[i], p, i});
+    }
+  }
+  std::stable_sort(all.begin(), all.end(),
+                   [](const Candidate& a, const Candidate& b) { return a.eval < b.eval; });
+  all.resize(std::min(all.size(), static_cast<size_t>(k)));
+  return all;
+}
+
+/// Passes the progress of a part on as that of the whole.
+class PartProgress {
+ public:
+  PartProgress(const std::function<void(double)>& progress, double total)
+      : progress_(progress), total_(total) {}
+
+  std::function<void(double)> of_part(int64_t size) const {
+    if (!progress_) return {};
+    return [this, size](double share) {
+      progress_(std::min(1.0, (done_ + share * static_cast<double>(size)) / total_));
+    };
+  }
+  void finish(int64_t size) { done_ += static_cast<double>(size); }
+
+ private:
+  const std::function<void(double)>& progress_;
+  double total_;
+  double done_ = 0.0;
+};
+
+}  // namespace
+
+void EigenbasisOptions::check() const {
+  FREETALK_CHECK(k >= 1, "k must be at least 1, found ", k);
+  FREETALK_CHECK(tolerance > 0.0, "tolerance must be positive, found ", tolerance);
+  FREETALK_CHECK(solver == "auto" || solver == "block" || solver == "spectra" || solver == "dense",
+                 "solver must be \"auto\", \"block\", \"spectra\" or \"dense\", found \"", solver,
+                 "\"");
+}
+
+Eigenbasis eigenbasis(const SparseMatrix& laplacian, const Eigen::VectorXd& mass,
+                      const EigenbasisOptions& options, const std::string& name,
+                      const std::function<void(double)>& progress) {
+  options.check();
+  const Eigen::Index size = mass.size();
+  FREETALK_CHECK(laplacian.rows() == size && laplacian.cols() == size, "eigenbasis of ", name,
+                 " needs a Laplacian of shape (", size, ", ", size, ") as the mass has ", size,
+                 " entries, found (", laplacian.rows(), ", ", laplacian.cols(), ")");
+  const int64_t k = options.k;
+  FREETALK_CHECK(k <= size, "eigenbasis of ", name, " was asked for ", k,
+                 " eigenpairs but the mesh has ", size, " vertices; use k_eig <= ", size);
+  const double area = mass.sum();
+  FREETALK_CHECK(std::isfinite(area) && mass.minCoeff() > 0.0, "eigenbasis of ", name,
+                 " needs a positive mass at every vertex; the surface has no area");
+  SparseMatrix identity(size, size);
+  identity.setIdentity();
+  const SparseMatrix regularized = laplacian + 1e-8 * identity;
+  FREETALK_CHECK(regularized.coeffs().allFinite(), "eigenbasis of ", name,
+                 " needs a finite Laplacian; the mesh has NaN, huge or tiny coordinates");
+  const std::vector<Part> parts = split(regularized, mass);
+
+  std::vector<Eigenbasis> bases(parts.size());
+  std::vector<int64_t> counts = first_counts(parts, area, k);
+  PartProgress part_progress(progress, static_cast<double>(size));
+  std::vector<Candidate> chosen;
+  for (bool complete = false; !complete;) {
+    for (size_t p = 0; p < parts.size(); ++p) {
+      if (bases[p].evals.size() == counts[p]) continue;
+      const auto part_size = static_cast<int64_t>(parts[p].vertices.size());
+      bases[p] =
+          solve_part(parts[p].problem, counts[p], options, name, part_progress.of_part(part_size));
+      part_progress.finish(part_size);
+    }
+    chosen = smallest(bases, k);
+    // A part all of whose pairs were chosen may have more below the last one chosen.
+    complete = true;
+    const bool enough = chosen.size() == static_cast<size_t>(k);
+    for (size_t p = 0; p < parts.size(); ++p) {
+      const int64_t most = std::min<int64_t>(k, static_cast<int64_t>(parts[p].vertices.size()));
+      if (counts[p] == most) continue;
+      if (enough && bases[p].evals[counts[p] - 1] >= chosen.back().eval) continue;
+      counts[p] = std::min(2 * counts[p], most);
+      complete = false;
+    }
+  }
+  if (parts.size() == 1) {
+    bases[0].evals = bases[0].evals.cwiseMax(0.0);
+    if (progress) progress(1.0);
+    return std::move(bases[0]);
+  }
+  Eigenbasis basis{Eigen::VectorXd(k), Eigen::MatrixXd::Zero(size, k), {}};
+  for (int64_t i = 0; i < k; ++i) {
+    const Candidate& from = chosen[static_cast<size_t>(i)];
+    basis.evals[i] = from.eval;
+    basis.evecs.col(i)(parts[from.part].vertices) = bases[from.part].evecs.col(from.index);
+  }
+  basis.residuals = residuals_of(regularized, mass, basis);
+  basis.evals = basis.evals.cwiseMax(0.0);
+  if (progress) progress(1.0);
+  return basis;
+}
+
+Eigenbasis eigenbasis(const SparseMatrix& laplacian, const Eigen::VectorXd& mass, int64_t k,
+                      double tolerance, const std::string& name) {
+  return eigenbasis(laplacian, mass, EigenbasisOptions{k, tolerance, "auto"}, name);
 }
 
 }  // namespace freetalk::geometry
