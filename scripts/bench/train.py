@@ -8,7 +8,8 @@ through ``torch.compile`` where that works. Contestants take turns; figures are 
     scripts/bench/train.py stm
     scripts/bench/train.py ats --config ats_paper --frames 600 --batch 16 --contestants freetalk --rounds 1
 
-Memory is the peak of the process: give one contestant to measure it alone.
+Memory is the peak of the process: give one contestant to measure it alone. On a busy machine the CPU seconds
+are the fairer figure.
 """
 
 from __future__ import annotations
@@ -174,7 +175,7 @@ def make_steps(arguments: argparse.Namespace, config: TrainingConfig, out: Path)
             source = task if name == "freetalk" else bench(config, arguments.frames, "freetalk")
             # Some weights start at 0, where a wrong peer would go unnoticed.
             state = {
-                key: value.detach() + 0.02 * torch.randn_like(value).abs()
+                key: value.detach() if value.any() else 0.02 * torch.randn_like(value).abs()
                 for key, value in source.model.named_parameters()
             }
         task.model.load_state_dict({**task.model.state_dict(), **state})
@@ -199,19 +200,24 @@ def measure(arguments: argparse.Namespace, steps: dict[str, Step], batch: int) -
             print(f"{name}: does not run ({type(error).__name__}: {str(error).splitlines()[0]})")
             del steps[name]
     seconds: dict[str, list[float]] = {name: [] for name in steps}
+    busy: dict[str, list[float]] = {name: [] for name in steps}
     for _ in range(arguments.rounds):
         for name, step in steps.items():
-            began = time.perf_counter()
+            began, worked = time.perf_counter(), time.process_time()
             for _ in range(arguments.steps):
                 step()  # reads the loss, so a GPU has finished
             seconds[name].append((time.perf_counter() - began) / arguments.steps)
+            busy[name].append((time.process_time() - worked) / arguments.steps)
     for name, values in seconds.items():
         middle = statistics.median(values)
         ratio = ""
         if name != "freetalk" and "freetalk" in seconds:
             pairs = [theirs / ours for theirs, ours in zip(values, seconds["freetalk"])]
             ratio = f"; freetalk is {statistics.median(pairs):.2f} x as fast"
-        print(f"{name}: {batch / middle:.3g} samples/s, {1 / middle:.3g} steps/s{ratio}")
+            pairs = [theirs / ours for theirs, ours in zip(busy[name], busy["freetalk"])]
+            ratio += f" ({statistics.median(pairs):.2f} x in CPU seconds)"
+        work = f"{statistics.median(busy[name]):.3g} CPU seconds a step"
+        print(f"{name}: {batch / middle:.3g} samples/s, {1 / middle:.3g} steps/s, {work}{ratio}")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     print(f"peak memory of the process: {peak:.2f} GiB")
     if torch.cuda.is_available():
