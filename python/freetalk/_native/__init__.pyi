@@ -11,6 +11,7 @@ from . import speech
 from . import diffusion
 from . import ats
 from . import stm
+from . import metrics
 from . import animation
 from . import talker
 
@@ -21,6 +22,7 @@ __all__: list[str] = [
     "core",
     "diffusion",
     "geometry",
+    "metrics",
     "nn",
     "speech",
     "stm",

@@ -94,7 +94,8 @@ class DatasetTruth:
             if neutral is None:
                 raise ValueError(f"{name}: landmarks must be displacements from the neutral face")
             metres = metres - neutral
-        return metres if rotation is None else metres @ rotation.T
+        turned: FloatArray = metres if rotation is None else np.matmul(metres, rotation.T)
+        return turned
 
     def phones(self, name: str) -> Phones:
         """Phones of a sequence, where the dataset knows them."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -36,7 +36,7 @@ def flags(valid: Array | None) -> torch.Tensor | None:
     return None if valid is None else torch.as_tensor(valid).to(torch.bool)
 
 
-def batched(*tensors: torch.Tensor | None, dims: int) -> tuple[list[torch.Tensor | None], bool]:
+def batched(*tensors: torch.Tensor | None, dims: int) -> tuple[list[Any], bool]:
     """Adds a batch of one where the first tensor lacks it; whether that was so.
 
     Args:
