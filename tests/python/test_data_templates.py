@@ -30,7 +30,7 @@ from freetalk.data import (
 )
 from freetalk.data.emotions import EMOVOCA_LABELS, LABELS, SYNONYMS, emotion_of, intensity_of
 from freetalk.data.flame import read_flame, rotation_matrices
-from freetalk.data.landmark_transfer import fit_face, propose_landmarks, region_masks
+from freetalk.data.landmark_transfer import LinearFace, fit_face, propose_landmarks, region_masks
 from freetalk.data.pose import find_pose
 from freetalk.data.splits import SCHEMES, scheme_of
 
@@ -210,8 +210,9 @@ def test_proposed_landmarks_are_within_millimetres(
     model, count = load_face_model(), EXTENTS["face"]
     triangles = triangulate(crop_quads(model, "face"))
     # Half of the modes: the face is outside of what can be fitted, as that of another template is.
-    known = (model.neutral[:count], triangles, model.identity_basis[:50, :count])
-    proposed = propose_landmarks(vertices, faces, *known, model.landmarks68)
+    modes = model.identity_basis[:50, :count]
+    known = LinearFace(model.neutral[:count], triangles, modes, model.landmarks68)
+    proposed = propose_landmarks(vertices, faces, known)
     error = np.linalg.norm(proposed.positions - vertices[true], axis=1)
     mean = model.neutral[model.landmarks68]
     unfitted = np.linalg.norm(mean - vertices[true], axis=1)
@@ -223,7 +224,7 @@ def test_proposed_landmarks_are_within_millimetres(
     assert not set(lips) & set(upper)
     assert set(proposed.indices[60:]) <= set(lips)
     with pytest.raises(ValueError, match="hardly meet"):
-        fit_face(vertices + 0.5, faces, *known)
+        fit_face(vertices + 0.5, faces, known)
 
 
 def test_the_command_writes_landmarks_that_a_dataset_reads(

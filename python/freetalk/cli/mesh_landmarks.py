@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> None:
     from freetalk import _native
     from freetalk.corpus.assets import EXTENTS, crop_quads, load_face_model, triangulate
     from freetalk.data import read_landmarks
-    from freetalk.data.landmark_transfer import propose_landmarks, region_masks
+    from freetalk.data.landmark_transfer import LinearFace, propose_landmarks, region_masks
 
     mesh: Any = freetalk.load_mesh(file)
     faces = np.asarray(mesh.faces)
@@ -56,14 +56,13 @@ def run(arguments: argparse.Namespace) -> None:
     print(f"{file}: {alignment.summary}")
     vertices = alignment.to_canonical.apply(np.asarray(mesh.vertices))
     model, count = load_face_model(), EXTENTS["face"]
-    proposed = propose_landmarks(
-        vertices,
-        faces,
+    known = LinearFace(
         model.neutral[:count],
         triangulate(crop_quads(model, "face")),
         model.identity_basis[:, :count],
         model.landmarks68,
     )
+    proposed = propose_landmarks(vertices, faces, known)
     indices = proposed.indices.copy()
     if arguments.start is not None:
         start = check_readable(arguments.start, "landmarks")

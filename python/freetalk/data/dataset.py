@@ -20,6 +20,7 @@ __all__ = [
     "FloatArray",
     "MotionDataset",
     "MotionSequence",
+    "chosen",
 ]
 
 FloatArray = npt.NDArray[np.float32]
@@ -66,6 +67,17 @@ class MotionSequence:
     fps: float = 30.0
     topology: str | None = None
     dataset: str = ""
+
+
+def chosen(
+    sequences: Sequence[MotionSequence], split: str | None, sources: Sequence[str] | None
+) -> list[MotionSequence]:
+    """Sequences of a split (all if ``None``) and of the given sources (all if ``None``)."""
+    return [
+        s
+        for s in sequences
+        if (split is None or s.split == split) and (sources is None or s.source in sources)
+    ]
 
 
 @dataclass(frozen=True)

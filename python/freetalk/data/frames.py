@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from pathlib import Path
-from typing import Any, Protocol
+from typing import IO, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -102,6 +102,15 @@ class PackedFrames:
         return np.asarray(self._array[self._rows[start:stop]], dtype=np.float32)
 
 
+def read_header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Shape and type of an open ``.npy``; leaves the file at its numbers."""
+    reads = np.lib.format.read_array_header_2_0
+    if np.lib.format.read_magic(file) == (1, 0):
+        reads = np.lib.format.read_array_header_1_0
+    shape, _, dtype = reads(file)
+    return shape, dtype
+
+
 def npy_header(path: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:
     """Shape and type of a ``.npy``, without reading its numbers.
 
@@ -111,11 +120,7 @@ def npy_header(path: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:
     """
     try:
         with path.open("rb") as file:
-            version = np.lib.format.read_magic(file)
-            reads = np.lib.format.read_array_header_1_0
-            if version != (1, 0):
-                reads = np.lib.format.read_array_header_2_0
-            shape, _, dtype = reads(file)
+            shape, dtype = read_header(file)
             needed = file.tell() + dtype.itemsize * int(np.prod(shape, dtype=np.int64))
         found = path.stat().st_size
     except FileNotFoundError:

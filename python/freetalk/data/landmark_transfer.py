@@ -36,6 +36,23 @@ _NEAR_M = 0.008
 
 
 @dataclass(frozen=True)
+class LinearFace:
+    """A face model: vertices = neutral + coefficients . identity_basis.
+
+    Attributes:
+        neutral: (N, 3) mean face, canonical frame, m.
+        faces: (G, 3) triangles.
+        identity_basis: (K, N, 3) modes of standard deviation 1, m.
+        landmarks: (68,) vertices.
+    """
+
+    neutral: npt.NDArray[Any]
+    faces: npt.NDArray[Any]
+    identity_basis: npt.NDArray[Any]
+    landmarks: npt.NDArray[np.integer[Any]]
+
+
+@dataclass(frozen=True)
 class FaceFit:
     """The model on the template.
 
@@ -69,21 +86,13 @@ class ProposedLandmarks:
     fit: FaceFit
 
 
-def fit_face(
-    vertices: npt.NDArray[Any],
-    faces: npt.NDArray[Any],
-    model_neutral: npt.NDArray[Any],
-    model_faces: npt.NDArray[Any],
-    identity_basis: npt.NDArray[Any],
-) -> FaceFit:
+def fit_face(vertices: npt.NDArray[Any], faces: npt.NDArray[Any], model: LinearFace) -> FaceFit:
     """Fits a linear face model to an aligned template.
 
     Args:
         vertices: (V, 3) template in the canonical frame, m.
         faces: (F, 3) its triangles.
-        model_neutral: (N, 3) mean face, canonical frame, m.
-        model_faces: (G, 3) its triangles.
-        identity_basis: (K, N, 3) modes of standard deviation 1, m.
+        model: the face model.
 
     Raises:
         ValueError: the surfaces are too far apart to be the same face.
@@ -92,16 +101,16 @@ def fit_face(
 
     surface, normals = geometry.sample_template(vertices, faces, _SURFACE_SAMPLES)
     tree = cKDTree(surface)
-    used = np.unique(model_faces)
+    used = np.unique(model.faces)
     chosen = used[:: max(1, len(used) // _SAMPLES)]
-    modes = np.asarray(identity_basis[:, chosen], dtype=np.float64)  # (K, S, 3)
-    rest = np.asarray(model_neutral, dtype=np.float64)
+    modes = np.asarray(model.identity_basis[:, chosen], dtype=np.float64)  # (K, S, 3)
+    rest = np.asarray(model.neutral, dtype=np.float64)
     coefficients = np.zeros(len(modes))
     matrix, shift = np.eye(3), np.zeros(3)
     distance, kept = np.zeros(0), np.zeros(0, bool)
     for reach in np.geomspace(*_REACH_M, _ROUNDS):
-        whole = rest + np.tensordot(coefficients, identity_basis, axes=1)
-        own = geometry.vertex_normals(whole, model_faces)[chosen] @ matrix.T
+        whole = rest + np.tensordot(coefficients, model.identity_basis, axes=1)
+        own = geometry.vertex_normals(whole, model.faces)[chosen] @ matrix.T
         points = whole[chosen] @ matrix.T + shift
         _, nearest = tree.query(points)
         offset = points - surface[nearest]
@@ -117,35 +126,27 @@ def fit_face(
         coefficients = coefficients + step[7:]
         turn = (1 + step[6]) * _rotation(step[:3])
         matrix, shift = turn @ matrix, turn @ shift + step[3:6]
-    fitted = (rest + np.tensordot(coefficients, identity_basis, axes=1)) @ matrix.T + shift
+    fitted = (rest + np.tensordot(coefficients, model.identity_basis, axes=1)) @ matrix.T + shift
     return FaceFit(fitted, coefficients, float(np.median(distance[kept])), float(kept.mean()))
 
 
 def propose_landmarks(
-    vertices: npt.NDArray[Any],
-    faces: npt.NDArray[Any],
-    model_neutral: npt.NDArray[Any],
-    model_faces: npt.NDArray[Any],
-    identity_basis: npt.NDArray[Any],
-    model_landmarks: npt.NDArray[np.integer[Any]],
+    vertices: npt.NDArray[Any], faces: npt.NDArray[Any], model: LinearFace
 ) -> ProposedLandmarks:
     """The vertices of an aligned template that lie where the fitted model has its landmarks.
 
     Args:
         vertices: (V, 3) template in the canonical frame, m.
         faces: (F, 3) its triangles.
-        model_neutral: (N, 3) mean face, canonical frame, m.
-        model_faces: (G, 3) its triangles.
-        identity_basis: (K, N, 3) modes of standard deviation 1, m.
-        model_landmarks: (68,) vertices of the model.
+        model: the face model.
 
     Raises:
         ValueError: the surfaces are too far apart to be the same face.
     """
     points = np.asarray(vertices, dtype=np.float64)
-    fit = fit_face(points, faces, model_neutral, model_faces, identity_basis)
-    wanted = fit.vertices[model_landmarks]
-    directions = geometry.vertex_normals(fit.vertices, model_faces)[model_landmarks]
+    fit = fit_face(points, faces, model)
+    wanted = fit.vertices[model.landmarks]
+    directions = geometry.vertex_normals(fit.vertices, model.faces)[model.landmarks]
     own = geometry.vertex_normals(points, faces)
     on_surface = np.unique(faces)
     indices = np.zeros(NUM_LANDMARKS, dtype=np.int64)

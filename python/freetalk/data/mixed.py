@@ -7,7 +7,13 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from freetalk.data.dataset import FaceMesh, FloatArray, MotionDataset, MotionSequence
+from freetalk.data.dataset import (
+    FaceMesh,
+    FloatArray,
+    MotionDataset,
+    MotionSequence,
+    chosen,
+)
 
 
 class MixedDataset:
@@ -58,11 +64,7 @@ class MixedDataset:
         self, split: str | None = None, sources: Sequence[str] | None = None
     ) -> list[MotionSequence]:
         """Sequences of a split (all if ``None``) and of the given sources (all if ``None``)."""
-        return [
-            s
-            for s in self._sequences
-            if (split is None or s.split == split) and (sources is None or s.source in sources)
-        ]
+        return chosen(self._sequences, split, sources)
 
     def landmarks(
         self, sequence: MotionSequence, start: int = 0, stop: int | None = None

@@ -18,6 +18,7 @@ from freetalk.data.dataset import (
     FaceMesh,
     FloatArray,
     MotionSequence,
+    chosen,
 )
 from freetalk.data.index_files import index_hash
 
@@ -64,11 +65,7 @@ class OpenCorpus:
         self, split: str | None = None, sources: Sequence[str] | None = None
     ) -> list[MotionSequence]:
         """Sequences of a split (all if ``None``) and of the given sources (all if ``None``)."""
-        return [
-            s
-            for s in self._sequences
-            if (split is None or s.split == split) and (sources is None or s.source in sources)
-        ]
+        return chosen(self._sequences, split, sources)
 
     def landmarks(
         self, sequence: MotionSequence, start: int = 0, stop: int | None = None

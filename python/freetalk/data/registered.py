@@ -14,7 +14,7 @@ import soundfile
 
 from freetalk import geometry
 from freetalk.audio import load_audio
-from freetalk.data.dataset import EMOTIONS, FaceMesh, FloatArray, MotionSequence
+from freetalk.data.dataset import EMOTIONS, FaceMesh, FloatArray, MotionSequence, chosen
 from freetalk.data.errors import (
     DatasetError,
     Findings,
@@ -143,11 +143,7 @@ class RegisteredDataset:
         self, split: str | None = None, sources: Sequence[str] | None = None
     ) -> list[MotionSequence]:
         """Sequences of a split (all if ``None``) and of the given sources (all if ``None``)."""
-        return [
-            s
-            for s in self._sequences
-            if (split is None or s.split == split) and (sources is None or s.source in sources)
-        ]
+        return chosen(self._sequences, split, sources)
 
     def landmarks(
         self, sequence: MotionSequence, start: int = 0, stop: int | None = None
