@@ -3,6 +3,7 @@
 #include <torch/extension.h>
 
 #include "bind_module.h"
+#include "freetalk/stm/frame_decoder.h"
 
 namespace py = pybind11;
 namespace fs = freetalk::stm;
@@ -22,4 +23,13 @@ void bind_stm(py::module_& m) {
            py::arg("landmarks"), release)
       .def("frames_per_chunk", &fs::StmImpl::frames_per_chunk, py::arg("num_vertices"),
            py::arg("memory_bytes"));
+  freetalk::bindings::bind_options<fs::DecodeOptions>(m, "DecodeOptions",
+                                                      "Precision and memory of FrameDecoder.");
+  py::class_<fs::FrameDecoder>(m, "FrameDecoder", "STM's decoder for many frames of one mesh.")
+      .def(py::init<std::shared_ptr<fs::StmImpl>, const fs::MeshFeatures&,
+                    const freetalk::geometry::SurfaceOperators&, const fs::DecodeOptions&>(),
+           py::arg("model"), py::arg("mesh"), py::kw_only(), py::arg("operators"),
+           py::arg("options") = fs::DecodeOptions{}, release)
+      .def("decode", py::overload_cast<const at::Tensor&>(&fs::FrameDecoder::decode),
+           py::arg("landmarks"), release, "(T, V, 3) displacements in metres.");
 }

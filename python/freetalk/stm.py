@@ -8,11 +8,16 @@ from freetalk import _native
 from freetalk._module import NativeModule
 
 StmOptions = _native.stm.StmOptions
+DecodeOptions = _native.stm.DecodeOptions
+FrameDecoder = _native.stm.FrameDecoder
 MeshFeatures = _native.stm.MeshFeatures
 
 
 class Stm(NativeModule):
-    """DiffusionNet encoder, landmark encoder with cross-attention, DiffusionNet decoder [FreeTalk 3.2, Eq. 12-14].
+    """Mesh encoder, landmark encoder with cross-attention, surface decoder [FreeTalk 3.2, Eq. 12-14].
+
+    The options ``extractor``, ``decoder`` and ``fusion`` name the component substitutions of the
+    supplement's Tables 1 and 2; by default both networks are DiffusionNets.
 
     Args:
         options: an ``StmOptions``, or its fields by keyword.
@@ -32,7 +37,8 @@ class Stm(NativeModule):
 
         Args:
             positions: (V, 3) metres, canonical frame.
-            operators: of ``positions / options.length_scale``, with ``options.k_eig`` eigenpairs.
+            operators: of ``positions / options.length_scale``, with ``options.k_eig`` eigenpairs
+                where a DiffusionNet is in use.
             landmarks: (T, 68, 3) displacements in metres.
 
         Returns:
@@ -55,9 +61,36 @@ class Stm(NativeModule):
         """Vertex displacements (T, V, 3) in metres from ``encode``'s result."""
         return self._impl.decode(mesh, operators, landmarks)
 
+    def frame_decoder(
+        self,
+        mesh: _native.stm.MeshFeatures,
+        operators: _native.geometry.SurfaceOperators,
+        *,
+        precision: str = "float32",
+        memory_bytes: int = 128 << 20,
+    ) -> FrameDecoder:
+        """A fast ``decode`` without gradients for many frames of one mesh.
+
+        Args:
+            mesh: ``encode``'s result.
+            operators: those given to ``encode``.
+            precision: ``"float32"``, or ``"bfloat16"`` for products in bfloat16 with float32 sums where
+                the processor multiplies it.
+            memory_bytes: working memory; does not grow with the number of frames.
+
+        Returns:
+            An object whose ``decode(landmarks)`` takes (T, 68, 3) metres and returns (T, V, 3) metres.
+            It keeps the weights of now.
+
+        Raises:
+            ValueError: an unknown precision.
+        """
+        options = DecodeOptions(precision=precision, memory_bytes=memory_bytes)
+        return FrameDecoder(self._impl, mesh, operators=operators, options=options)
+
     def frames_per_chunk(self, num_vertices: int, memory_bytes: int) -> int:
         """Frames that ``decode`` takes at once within ``memory_bytes``."""
         return self._impl.frames_per_chunk(num_vertices, memory_bytes)
 
 
-__all__ = ["MeshFeatures", "Stm", "StmOptions"]
+__all__ = ["DecodeOptions", "FrameDecoder", "MeshFeatures", "Stm", "StmOptions"]

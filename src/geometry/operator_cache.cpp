@@ -1,6 +1,7 @@
 #include <ATen/ATen.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cstdlib>
 #include <optional>
 #include <vector>
@@ -10,6 +11,7 @@
 #include "freetalk/core/options.h"
 #include "freetalk/core/safetensors.h"
 #include "freetalk/geometry/operators.h"
+#include "operators_faces.h"
 #include "tensor_conversion.h"
 
 namespace freetalk::geometry {
@@ -18,7 +20,7 @@ namespace {
 namespace fs = std::filesystem;
 
 // Raise when the operators of a mesh change: older entries are then never read again.
-constexpr int kOperatorVersion = 1;
+constexpr int kOperatorVersion = 2;
 
 std::string key_of(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
                    const OperatorOptions& options) {
@@ -36,23 +38,31 @@ std::string checksum(const core::TensorMap& tensors) {
   ContentHash hash;
   for (const auto& [name, tensor] : tensors) {
     const at::Tensor data = tensor.contiguous();
+    const auto type = static_cast<int64_t>(data.scalar_type());
     hash.update(name.data(), name.size());
+    hash.update(&type, sizeof(type));
+    hash.update(data.sizes().data(), data.sizes().size() * sizeof(int64_t));
     hash.update(data.data_ptr(), data.nbytes());
   }
   return hash.hex();
 }
 
-void save_entry(const fs::path& file, const SurfaceOperators& operators) {
-  core::TensorMap tensors{{"mass", operators.mass},
-                          {"evals", operators.evals},
-                          {"evecs", operators.evecs},
-                          {"normals", operators.normals},
-                          {"frames", operators.frames},
-                          {"residuals", operators.residuals},
-                          {"gradients.crow", operators.gradients.crow_indices()},
-                          {"gradients.col", operators.gradients.col_indices()},
-                          {"gradients.values", operators.gradients.values()}};
-  core::save_safetensors(file, tensors, {{"checksum", checksum(tensors)}});
+core::TensorMap tensors_of(const SurfaceOperators& operators) {
+  return {{"mass", operators.mass},
+          {"evals", operators.evals},
+          {"evecs", operators.evecs},
+          {"normals", operators.normals},
+          {"frames", operators.frames},
+          {"residuals", operators.residuals},
+          {"gradients.crow", operators.gradients.crow_indices()},
+          {"gradients.col", operators.gradients.col_indices()},
+          {"gradients.values", operators.gradients.values()}};
+}
+
+int64_t num_bytes(const core::TensorMap& tensors) {
+  int64_t bytes = 0;
+  for (const auto& item : tensors) bytes += static_cast<int64_t>(item.second.nbytes());
+  return bytes;
 }
 
 /// The entry, or nothing if it is missing, damaged or of another shape.
@@ -84,6 +94,11 @@ std::optional<SurfaceOperators> load_entry(const fs::path& file, int64_t num_ver
   }
 }
 
+/// A file being written, or left by a process that was killed while it wrote.
+bool is_temporary(const fs::path& file) {
+  return file.filename().string().find(".tmp-") != std::string::npos;
+}
+
 /// Removes the entries unused for longest until the folder holds at most `max_bytes`, never `keep`.
 void evict(const fs::path& folder, const fs::path& keep, int64_t max_bytes) {
   struct Entry {
@@ -99,6 +114,11 @@ void evict(const fs::path& folder, const fs::path& keep, int64_t max_bytes) {
     const auto bytes = static_cast<int64_t>(it->file_size(gone));
     const auto used = it->last_write_time(gone);
     if (gone) continue;
+    if (is_temporary(it->path())) {
+      constexpr std::chrono::hours kAbandoned(1);  // Writing an entry takes seconds.
+      if (fs::file_time_type::clock::now() - used > kAbandoned) fs::remove(it->path(), gone);
+      continue;
+    }
     entries.push_back({it->path(), used, bytes});
     total += bytes;
   }
@@ -131,13 +151,19 @@ SurfaceOperators cached_surface_operators(const Eigen::MatrixXd& vertices,
                                           const Eigen::MatrixXi& faces,
                                           const OperatorOptions& options,
                                           const std::filesystem::path& cache_dir,
-                                          const std::string& name, int64_t max_bytes) {
+                                          const std::string& name, int64_t max_bytes,
+                                          const std::function<void(double)>& progress) {
   const fs::path folder = (cache_dir.empty() ? default_cache_dir() : cache_dir) / "operators";
   const fs::path file = folder / (key_of(vertices, faces, options) + ".safetensors");
-  if (auto cached = load_entry(file, vertices.rows(), options.k_eig)) return *std::move(cached);
-  SurfaceOperators operators = surface_operators(vertices, faces, options, name);
+  if (auto cached = load_entry(file, vertices.rows(), options.k_eig)) {
+    attach_faces(*cached, vertices, faces, options.weld != "none");
+    return *std::move(cached);
+  }
+  SurfaceOperators operators = surface_operators(vertices, faces, options, name, progress);
+  const core::TensorMap tensors = tensors_of(operators);
+  if (num_bytes(tensors) > max_bytes) return operators;
   try {
-    save_entry(file, operators);
+    core::save_safetensors(file, tensors, {{"checksum", checksum(tensors)}});
     evict(folder, file, max_bytes);
   } catch (const std::runtime_error&) {
     // A folder that cannot be written to (full, read-only) costs the time next time, not the

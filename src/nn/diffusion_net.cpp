@@ -3,12 +3,24 @@
 #include <torch/torch.h>
 
 #include "freetalk/core/error.h"
+#include "freetalk/nn/implicit_diffusion.h"
+#include "freetalk/nn/poisson.h"
 #include "freetalk/nn/sparse.h"
+#include "freetalk/nn/surface_means.h"
 
 namespace freetalk::nn {
 namespace {
 
 constexpr double kMinDiffusionTime = 1e-8;  // as in the public package, at every forward
+
+/// Phi exp(-lambda t) Phi^T M x on one mesh. @param evals (K,).
+at::Tensor spectral_diffusion(const at::Tensor& x, const at::Tensor& time, const at::Tensor& mass,
+                              const at::Tensor& evals, const at::Tensor& evecs) {
+  const at::Tensor weighted_basis = (evecs * mass.unsqueeze(1)).t();          // (K, V): Phi^T M
+  const at::Tensor spectrum = weighted_basis.matmul(x);                       // (B, K, C)
+  const at::Tensor decay = at::exp(-evals.unsqueeze(1) * time.unsqueeze(0));  // (K, C)
+  return evecs.matmul(spectrum * decay);
+}
 
 }  // namespace
 
@@ -17,60 +29,95 @@ void DiffusionNetOptions::check() const {
                  "DiffusionNet: channels, width and num_blocks must be positive");
   FREETALK_CHECK(dropout >= 0 && dropout < 1, "DiffusionNet: dropout must be in [0, 1), found ",
                  dropout);
+  for (const int64_t hidden : mlp_hidden) {
+    FREETALK_CHECK(hidden > 0, "DiffusionNet: mlp_hidden must be positive, found ", hidden);
+  }
+  FREETALK_CHECK(outputs_at == "vertices" || outputs_at == "edges" || outputs_at == "faces" ||
+                     outputs_at == "global_mean",
+                 "DiffusionNet: outputs_at must be vertices, edges, faces or global_mean, found ",
+                 outputs_at);
+  FREETALK_CHECK(diffusion_method == "spectral" || diffusion_method == "implicit_dense",
+                 "DiffusionNet: diffusion_method must be spectral or implicit_dense, found ",
+                 diffusion_method);
 }
 
-LearnedDiffusionImpl::LearnedDiffusionImpl(int64_t channels) {
+LearnedDiffusionImpl::LearnedDiffusionImpl(int64_t channels, bool spectral) : spectral_(spectral) {
   diffusion_time_ = register_parameter("diffusion_time", torch::zeros({channels}));
+}
+
+at::Tensor LearnedDiffusionImpl::time() {
+  const torch::NoGradGuard no_grad;
+  diffusion_time_.clamp_(kMinDiffusionTime);
+  return diffusion_time_;
 }
 
 at::Tensor LearnedDiffusionImpl::forward(const at::Tensor& x,
                                          const geometry::SurfaceOperators& operators) {
-  {
-    const torch::NoGradGuard no_grad;
-    diffusion_time_.clamp_(kMinDiffusionTime);
+  time();
+  if (!spectral_) return implicit_diffusion(x, diffusion_time_, operators);
+  if (operators.offsets.empty()) {
+    return spectral_diffusion(x, diffusion_time_, operators.mass, operators.evals, operators.evecs);
   }
-  const at::Tensor weighted_basis =
-      (operators.evecs * operators.mass.unsqueeze(1)).t();  // (K, V): Phi^T M
-  const at::Tensor spectrum = weighted_basis.matmul(x);     // (B, K, C)
-  const at::Tensor decay =
-      at::exp(-operators.evals.unsqueeze(1) * diffusion_time_.unsqueeze(0));  // (K, C)
-  return operators.evecs.matmul(spectrum * decay);
+  std::vector<at::Tensor> parts;
+  for (int64_t mesh = 0; mesh < operators.num_meshes(); ++mesh) {
+    const int64_t first = operators.offsets[static_cast<size_t>(mesh)],
+                  count = operators.offsets[static_cast<size_t>(mesh) + 1] - first;
+    parts.push_back(spectral_diffusion(
+        x.narrow(1, first, count), diffusion_time_, operators.mass.narrow(0, first, count),
+        operators.evals[mesh], operators.evecs.narrow(0, first, count)));
+  }
+  return at::cat(parts, 1);
 }
 
-GradientFeaturesImpl::GradientFeaturesImpl(int64_t channels) {
+GradientFeaturesImpl::GradientFeaturesImpl(int64_t channels, bool rotations) {
   const auto options = torch::nn::LinearOptions(channels, channels).bias(false);
-  a_re_ = register_module("A_re", torch::nn::Linear(options));
-  a_im_ = register_module("A_im", torch::nn::Linear(options));
+  a_re = register_module(rotations ? "A_re" : "A", torch::nn::Linear(options));
+  if (rotations) a_im = register_module("A_im", torch::nn::Linear(options));
 }
 
 at::Tensor GradientFeaturesImpl::forward(const at::Tensor& gradients) {
   const int64_t vertices = gradients.size(1) / 2;
   const at::Tensor gx = gradients.narrow(1, 0, vertices),
                    gy = gradients.narrow(1, vertices, vertices);
-  const auto re = a_re_(gradients).split(vertices, 1);
-  const auto im = a_im_(gradients).split(vertices, 1);
+  const auto re = a_re(gradients).split(vertices, 1);
+  if (!a_im) return at::tanh(gx * re[0] + gy * re[1]);
+  const auto im = a_im(gradients).split(vertices, 1);
   return at::tanh(gx * (re[0] - im[1]) + gy * (re[1] + im[0]));
 }
 
-DiffusionNetBlockImpl::DiffusionNetBlockImpl(int64_t channels, double dropout) : dropout_(dropout) {
-  diffusion_ = register_module("diffusion", LearnedDiffusion(channels));
-  gradient_features_ = register_module("gradient_features", GradientFeatures(channels));
-  auto mlp = register_module("mlp", std::make_shared<torch::nn::Module>());
-  const int64_t widths[] = {3 * channels, channels, channels, channels};
-  for (int layer = 0; layer < 3; ++layer) {
-    mlp_.push_back(mlp->register_module("miniMLP_mlp_layer_00" + std::to_string(layer),
-                                        torch::nn::Linear(widths[layer], widths[layer + 1])));
+DiffusionNetBlockImpl::DiffusionNetBlockImpl(const DiffusionNetOptions& options)
+    : dropout_(options.dropout) {
+  const int64_t channels = options.width;
+  diffusion = register_module("diffusion",
+                              LearnedDiffusion(channels, options.diffusion_method == "spectral"));
+  if (options.with_gradient_features) {
+    gradient_features = register_module(
+        "gradient_features", GradientFeatures(channels, options.with_gradient_rotations));
+  }
+  auto layers = register_module("mlp", std::make_shared<torch::nn::Module>());
+  std::vector<int64_t> widths = options.mlp_hidden;
+  if (widths.empty()) widths = {channels, channels};
+  widths.insert(widths.begin(), (options.with_gradient_features ? 3 : 2) * channels);
+  widths.push_back(channels);
+  for (size_t layer = 0; layer + 1 < widths.size(); ++layer) {
+    const std::string number = std::to_string(layer);
+    mlp.push_back(layers->register_module(
+        "miniMLP_mlp_layer_" + std::string(3 - std::min<size_t>(3, number.size()), '0') + number,
+        torch::nn::Linear(widths[layer], widths[layer + 1])));
   }
 }
 
 at::Tensor DiffusionNetBlockImpl::forward(const at::Tensor& x,
                                           const geometry::SurfaceOperators& operators) {
-  const at::Tensor diffused = diffusion_(x, operators);
-  const at::Tensor gradients =
-      sparse_product(operators.gradients, operators.gradients_transposed, diffused);
-  at::Tensor y = mlp_[0](at::cat({x, diffused, gradient_features_(gradients)}, -1));
-  for (size_t layer = 1; layer < mlp_.size(); ++layer) {
-    y = mlp_[layer](at::dropout(at::relu(y), dropout_, is_training()));
+  const at::Tensor diffused = diffusion(x, operators);
+  std::vector<at::Tensor> inputs{x, diffused};
+  if (gradient_features) {
+    inputs.push_back(gradient_features(
+        sparse_product(operators.gradients, operators.gradients_transposed, diffused)));
+  }
+  at::Tensor y = mlp[0](at::cat(inputs, -1));
+  for (size_t layer = 1; layer < mlp.size(); ++layer) {
+    y = mlp[layer](at::dropout(at::relu(y), dropout_, is_training()));
   }
   return x + y;
 }
@@ -80,25 +127,22 @@ DiffusionNetImpl::DiffusionNetImpl(const DiffusionNetOptions& options) : options
   first_lin = register_module("first_lin", torch::nn::Linear(options.in_channels, options.width));
   last_lin = register_module("last_lin", torch::nn::Linear(options.width, options.out_channels));
   for (int64_t index = 0; index < options.num_blocks; ++index) {
-    blocks_.push_back(register_module("block_" + std::to_string(index),
-                                      DiffusionNetBlock(options.width, options.dropout)));
+    blocks_.push_back(
+        register_module("block_" + std::to_string(index), DiffusionNetBlock(options)));
   }
-}
-
-at::Tensor DiffusionNetImpl::forward(const at::Tensor& x,
-                                     const geometry::SurfaceOperators& operators) {
-  FREETALK_CHECK(
-      x.dim() == 3 && x.size(1) == operators.mass.size(0) && x.size(2) == options_.in_channels,
-      "DiffusionNet: expected x (B, ", operators.mass.size(0), ", ", options_.in_channels,
-      "), found ", x.sizes());
-  return forward_hidden(first_lin(x), operators);
 }
 
 at::Tensor DiffusionNetImpl::forward_hidden(const at::Tensor& hidden,
                                             const geometry::SurfaceOperators& operators) {
   at::Tensor x = hidden;
   for (DiffusionNetBlock& block : blocks_) x = block(x, operators);
-  return last_lin(x);
+  x = last_lin(x);
+  if (options_.outputs_at == "edges") {
+    return vertices_to_faces(x, geometry::unique_edges(operators.faces().faces).to(x.device()));
+  }
+  if (options_.outputs_at == "faces") return vertices_to_faces(x, operators.faces().faces);
+  if (options_.outputs_at == "global_mean") return weighted_means(x, operators);
+  return x;
 }
 
 }  // namespace freetalk::nn

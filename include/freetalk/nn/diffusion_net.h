@@ -7,14 +7,12 @@
 // Names equal the public diffusion_net package's, so its checkpoints load.
 #pragma once
 
-#include <torch/nn/module.h>
-#include <torch/nn/modules/linear.h>
 #include <torch/nn/pimpl.h>
 
 #include <string>
 #include <vector>
 
-#include "freetalk/geometry/operators.h"
+#include "freetalk/nn/surface_net.h"
 
 namespace freetalk::nn {
 
@@ -25,6 +23,12 @@ struct DiffusionNetOptions {
   int64_t num_blocks = 4;
   double dropout =
       0.0;  // 0.5 in the public package; before every linear of a block's MLP but the first
+  std::vector<int64_t> mlp_hidden = {};  // widths of the blocks' MLPs; empty: {width, width}
+  std::string outputs_at = "vertices";   // "vertices", "edges", "faces" or "global_mean"
+  // "spectral", or "implicit_dense": one implicit Euler step a channel, which needs no eigenbasis.
+  std::string diffusion_method = "spectral";
+  bool with_gradient_features = true;
+  bool with_gradient_rotations = true;  // false for surfaces without a consistent orientation
   template <class V>
   void fields(V& v) {
     v("in_channels", in_channels);
@@ -32,18 +36,26 @@ struct DiffusionNetOptions {
     v("width", width);
     v("num_blocks", num_blocks);
     v("dropout", dropout);
+    v("mlp_hidden", mlp_hidden);
+    v("outputs_at", outputs_at);
+    v("diffusion_method", diffusion_method);
+    v("with_gradient_features", with_gradient_features);
+    v("with_gradient_rotations", with_gradient_rotations);
   }
   void check() const;
 };
 
-/// Diffusion of each channel for a learned time, in the spectral basis.
+/// Diffusion of each channel for a learned time, in the spectral basis or by one implicit step.
 class LearnedDiffusionImpl : public torch::nn::Module {
  public:
-  explicit LearnedDiffusionImpl(int64_t channels);
+  explicit LearnedDiffusionImpl(int64_t channels, bool spectral = true);
   /// @param x (B, V, C). @returns (B, V, C).
   at::Tensor forward(const at::Tensor& x, const geometry::SurfaceOperators& operators);
+  /// (C,), clamped as every forward pass does.
+  at::Tensor time();
 
  private:
+  bool spectral_;
   at::Tensor diffusion_time_;
 };
 TORCH_MODULE(LearnedDiffusion);
@@ -51,40 +63,42 @@ TORCH_MODULE(LearnedDiffusion);
 /// tanh of the products of gradients with their rotated, scaled selves.
 class GradientFeaturesImpl : public torch::nn::Module {
  public:
-  explicit GradientFeaturesImpl(int64_t channels);
+  explicit GradientFeaturesImpl(int64_t channels, bool rotations = true);
   /// @param gradients (B, 2V, C): all x components, then all y. @returns (B, V, C).
   at::Tensor forward(const at::Tensor& gradients);
 
- private:
-  torch::nn::Linear a_re_{nullptr}, a_im_{nullptr};
+  torch::nn::Linear a_re{nullptr}, a_im{nullptr};  // a_im is null without rotations
 };
 TORCH_MODULE(GradientFeatures);
 
 class DiffusionNetBlockImpl : public torch::nn::Module {
  public:
-  DiffusionNetBlockImpl(int64_t channels, double dropout);
+  explicit DiffusionNetBlockImpl(const DiffusionNetOptions& options);
   at::Tensor forward(const at::Tensor& x, const geometry::SurfaceOperators& operators);
+
+  LearnedDiffusion diffusion{nullptr};
+  GradientFeatures gradient_features{nullptr};  // null without gradient features
+  std::vector<torch::nn::Linear> mlp;
 
  private:
   double dropout_;
-  LearnedDiffusion diffusion_{nullptr};
-  GradientFeatures gradient_features_{nullptr};
-  std::vector<torch::nn::Linear> mlp_;
 };
 TORCH_MODULE(DiffusionNetBlock);
 
-class DiffusionNetImpl : public torch::nn::Module {
+class DiffusionNetImpl : public SurfaceNetImpl {
  public:
   explicit DiffusionNetImpl(const DiffusionNetOptions& options);
 
-  /// @param x (B, V, in_channels) values at the vertices of one mesh. @returns (B, V,
-  /// out_channels).
-  at::Tensor forward(const at::Tensor& x, const geometry::SurfaceOperators& operators);
-  /// What follows the first linear layer: for callers that compute it in parts. @param hidden (B,
-  /// V, width).
-  at::Tensor forward_hidden(const at::Tensor& hidden, const geometry::SurfaceOperators& operators);
+  /// @returns (B, V, out_channels), or (B, E, ...) at the edges of geometry::unique_edges, (B, F,
+  ///   ...) at the faces, (B, meshes, ...) for the mass-weighted mean of each mesh.
+  at::Tensor forward_hidden(const at::Tensor& hidden,
+                            const geometry::SurfaceOperators& operators) override;
+  torch::nn::Linear& first_layer() override { return first_lin; }
+  torch::nn::Linear& last_layer() override { return last_lin; }
+  bool uses_eigenbasis() const override { return options_.diffusion_method == "spectral"; }
 
   const DiffusionNetOptions& options() const { return options_; }
+  const std::vector<DiffusionNetBlock>& blocks() const { return blocks_; }
   torch::nn::Linear first_lin{nullptr}, last_lin{nullptr};
 
  private:

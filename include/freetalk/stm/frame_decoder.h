@@ -1,0 +1,40 @@
+// STM's decoder for inference: many frames of one mesh, what depends on the mesh prepared once.
+#pragma once
+
+#include <functional>
+#include <memory>
+
+#include "freetalk/stm/stm.h"
+
+namespace freetalk::stm {
+
+/// decode() without gradients. DiffusionNet decoders in float32 on a CPU go through fused kernels
+/// (nn/fused_diffusion.h), others through StmImpl::decode in chunks.
+class FrameDecoder {
+ public:
+  /// Changes of the model after this may or may not reach the decoder: make another.
+  FrameDecoder(std::shared_ptr<StmImpl> model, const MeshFeatures& mesh,
+               const geometry::SurfaceOperators& operators, const DecodeOptions& options = {});
+
+  /// Memory grows with the chunk, not with T.
+  /// @param landmarks (T, 68, 3) displacements, metres.
+  /// @param sink called with (first frame, (t, V, 3) displacements in metres) in order.
+  void decode(const at::Tensor& landmarks,
+              const std::function<void(int64_t, const at::Tensor&)>& sink);
+
+  /// @returns (T, V, 3) displacements, metres.
+  at::Tensor decode(const at::Tensor& landmarks);
+
+ private:
+  at::Tensor decode_chunk(const at::Tensor& landmarks);
+  void choose_chunk();
+
+  std::shared_ptr<StmImpl> model_;
+  MeshFeatures mesh_;
+  geometry::SurfaceOperators operators_;
+  DecodeOptions options_;
+  std::unique_ptr<nn::FusedDiffusion> fused_;
+  int64_t chunk_ = 1, in_work_ = 1;
+};
+
+}  // namespace freetalk::stm
