@@ -80,26 +80,27 @@ class PackedFrames:
     """Rows of one array that holds all recordings, such as VOCAset's ``data_verts.npy``.
 
     Args:
-        array: (N, P, 3), memory-mapped.
-        path: its file, for messages.
+        path: the ``.npy`` of (N, P, 3), opened for each read and never kept.
+        num_points: P.
         rows: (T,) rows of the recording in the order of its frames.
         step: keep every ``step``-th frame.
     """
 
     def __init__(
-        self, array: npt.NDArray[Any], path: Path, rows: npt.NDArray[np.int64], step: int = 1
+        self, path: Path, num_points: int, rows: npt.NDArray[np.int64], step: int = 1
     ) -> None:
-        self.path, self._array = path, array
+        self.path, self.num_points = path, num_points
         self._all_rows, self._rows = rows, rows[::step]
-        self.num_frames, self.num_points = len(self._rows), int(array.shape[1])
+        self.num_frames = len(self._rows)
 
     def decimated(self, step: int) -> PackedFrames:
         """The same recording, every ``step``-th frame."""
-        return PackedFrames(self._array, self.path, self._all_rows, step)
+        return PackedFrames(self.path, self.num_points, self._all_rows, step)
 
     def read(self, start: int, stop: int) -> FloatArray:
         """Positions of frames [start, stop), (T, P, 3) float32 in the file's unit."""
-        return np.asarray(self._array[self._rows[start:stop]], dtype=np.float32)
+        array: npt.NDArray[Any] = np.load(self.path, mmap_mode="r", allow_pickle=False)
+        return np.asarray(array[self._rows[start:stop]], dtype=np.float32)
 
 
 def read_header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:

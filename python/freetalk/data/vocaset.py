@@ -62,7 +62,6 @@ def read_released(request: Request) -> RegisteredParts:
         raise DatasetError(
             f"{path} is {dtype} {shape}; expected (frames, 5023, 3) floating numbers"
         )
-    vertices = np.load(path, mmap_mode="r", allow_pickle=False)
     index = load_pickle(directory / "subj_seq_to_idx.pkl")
     audio = _audio_files(directory / "raw_audio_fixed.pkl")
     recordings, silent = [], 0
@@ -73,7 +72,7 @@ def read_released(request: Request) -> RegisteredParts:
                 silent += 1
                 continue
             try:
-                frames = PackedFrames(vertices, path, _rows(rows, shape[0], name, directory))
+                frames = PackedFrames(path, shape[1], _rows(rows, shape[0], name, directory))
             except DatasetError as error:
                 request.findings.add(error)
                 continue
