@@ -123,7 +123,9 @@ def _check_template(dataset: RegisteredDataset, report: DatasetReport) -> None:
         if described[key] is None:
             report.warnings.append(f"no file says which vertices are the {key}: {loss}")
     if dataset.pose.unit == "normalised":
-        report.warnings.append(f"the unit is unknown: {dataset.pose.reason}")
+        report.warnings.append(
+            f"the unit is unknown, or the landmarks belong to another mesh: {dataset.pose.reason}"
+        )
     if dataset.template.name == "FLAME" and not described["faces"]["recognised"]:
         report.warnings.append("the triangles are not those of the published FLAME template")
     if dataset.left_out:
