@@ -19,7 +19,8 @@ from mini_corpus import write_mini_corpus
 from freetalk.cli import main
 from freetalk.data import OpenCorpus
 from freetalk.evaluate.masks import KNOWN_MASKS, describe_masks
-from freetalk.evaluate.motion_files import NameMatcher, speaker_of
+from freetalk.evaluate.motion_files import NameMatcher, motion_paths, read_motion, speaker_of
+from freetalk.evaluate.tables import number
 
 VERTICES, FPS = 30, 25.0
 LIPS, UPPER = [1, 4, 7, 9], [20, 21, 25]
@@ -75,10 +76,8 @@ class Data:
         extra = 2 if index == 3 else 0
         styles = ("F1", "M10") if index == 4 else ("F1",)
         self.pred["a"][name] = []
-        for number, style in enumerate(styles):
-            near = motion(index, frames + extra) + 0.5 * motion(
-                100 + index + number, frames + extra
-            )
+        for take, style in enumerate(styles):
+            near = motion(index, frames + extra) + 0.5 * motion(100 + index + take, frames + extra)
             self.pred["a"][name].append(near[:frames])
             flat = (rest + near).reshape(len(near), -1).astype("f4")
             np.save(self.root / "a" / f"{name}_condition_{style}.npy", flat)
@@ -273,7 +272,7 @@ def test_tables_are_written_in_every_format(
     assert first["mask_sha256"] == report["masks"]["lips"]["sha256"] and first["unit"] == "mm^2"
     tex = files[1].read_text()
     assert tex.count(r"\textbf") == 8 and r"\toprule" in tex and "sha256" in tex
-    assert "delta\\_M @ lips" in tex
+    assert r"$\delta_M$ @ lips" in tex and r"$\mathrm{mm}^2$" in tex
 
 
 def test_a_mask_of_ones_own_can_be_asked_for(data: Data, tmp_path: Path) -> None:
@@ -350,6 +349,21 @@ def test_predictions_need_a_ground_truth(capsys: pytest.CaptureFixture[str]) -> 
     assert "--gt" in capsys.readouterr().err
     assert main(["evaluate"]) == 2
     assert "--data" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("shape", [(4, 90), (4, 30, 3), (1, 4, 90), (1, 4, 30, 3)])
+def test_every_public_shape_is_read(shape: tuple[int, ...], tmp_path: Path) -> None:
+    values = np.arange(360, dtype=np.float32)
+    np.save(tmp_path / "one.npy", values.reshape(shape))
+    np.savez(tmp_path / "one.npz", anything=values.reshape(shape).astype(np.float64))
+    for path in motion_paths(tmp_path):
+        frames = read_motion(path, VERTICES).frames
+        np.testing.assert_array_equal(frames, values.reshape(4, 30, 3))
+
+
+def test_numbers_keep_their_significant_digits() -> None:
+    shown = [number(v) for v in (0.0, 3.0, 12.3456, 12345.6, 0.00123456, 1.5e-9, 8e7, None)]
+    assert shown == ["0", "3.000", "12.35", "12346", "0.001235", "1.5e-09", "8e+07", "–"]
 
 
 def test_names_of_public_systems_are_understood() -> None:

@@ -17,6 +17,11 @@ from freetalk.evaluate.metric_specs import MetricSpec
 from freetalk.evaluate.predictions import Scores, describe_systems
 
 FORMAT = "freetalk-scores"
+#: Metrics that by their nature not every sequence has.
+_PARTIAL = (
+    *("closure_rate", "emotion_rate", "audio_offset_ms"),
+    *("diversity_vertex", "lve_mean_estimate", "lve_coverage"),
+)
 
 
 @dataclass(frozen=True)
@@ -182,7 +187,7 @@ def _notes(scores: Scores) -> list[str]:
     for spec in scores.specs:
         for name, values in scores.values[spec.key].items():
             lost = len(scores.names) - len(values)
-            if lost and values and spec.pooling != "phones":
+            if lost and values and spec.name not in _PARTIAL:
                 notes.append(f"{spec.key}: {lost} sequences of {name} have no value")
     return notes
 

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import math
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -27,9 +28,7 @@ def number(value: float | None, digits: int = 4) -> str:
     if value == 0 or not math.isfinite(value):
         return f"{value:g}"
     decimals = digits - 1 - math.floor(math.log10(abs(value)))
-    return (
-        f"{value:.{decimals}f}" if -4 <= decimals <= 8 and decimals >= 0 else f"{value:.{digits}g}"
-    )
+    return f"{value:.{max(decimals, 0)}f}" if -4 < decimals <= 8 else f"{value:.{digits}g}"
 
 
 def plain_table(rows: Sequence[Sequence[str]]) -> str:
@@ -117,7 +116,7 @@ def latex(report: Report) -> str:
     """
     rows = report["metrics"]
     arrows = {"down": r"$\downarrow$", "up": r"$\uparrow$", "near": r"$\rightarrow$"}
-    titles = [f"{_tex(row['title'])} {arrows[row['better']]}" for row in rows]
+    titles = [f"{_tex_title(row['title'])} {arrows[row['better']]}" for row in rows]
     units = ["" if row["unit"] == "1" else _tex_unit(row["unit"]) for row in rows]
     lines = [
         r"\begin{table}",
@@ -234,5 +233,10 @@ def _tex(text: str) -> str:
     return text.replace("^", r"\^{}").replace("–", "--").replace("…", r"\dots ")
 
 
+def _tex_title(title: str) -> str:
+    text = _tex(title).replace("|", "$|$")
+    return text.replace(r"delta\_M", r"$\delta_M$").replace(r"delta\_Cd", r"$\delta_{Cd}$")
+
+
 def _tex_unit(unit: str) -> str:
-    return "$" + unit.replace("mm", r"\mathrm{mm}").replace("ms", r"\mathrm{ms}") + "$"
+    return "$" + re.sub(r"[a-z]+", lambda found: rf"\mathrm{{{found[0]}}}", unit) + "$"
