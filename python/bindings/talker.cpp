@@ -46,6 +46,18 @@ void bind_talker(py::module_& m) {
           },
           py::arg("audio"), py::arg("mesh"), py::arg("options") = talker::TalkerOptions{},
           py::arg("progress") = talker::Progress{}, NoGil())
+      .def(
+          "animate_many",
+          [](talker::Talker& self, const freetalk::audio::Audio& audio,
+             const freetalk::geometry::Mesh& mesh, const std::vector<int64_t>& seeds,
+             const talker::TalkerOptions& options, const talker::Progress& progress) {
+            talker::Report report;
+            auto result = self.animate_many(audio, mesh, seeds, options, progress, &report);
+            return std::pair{std::move(result), std::move(report)};
+          },
+          py::arg("audio"), py::arg("mesh"), py::kw_only(), py::arg("seeds"),
+          py::arg("options") = talker::TalkerOptions{}, py::arg("progress") = talker::Progress{},
+          NoGil())
       .def("align", &talker::Talker::align, py::arg("mesh"),
            py::arg("options") = freetalk::geometry::AlignOptions{}, NoGil())
       .def_property_readonly("emotions", &talker::Talker::emotions)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from freetalk import _native
 from freetalk._pretrained import PRETRAINED, installed
 from freetalk.animation import Animation
+from freetalk.ats import Emotion, emotion_text
 from freetalk.audio import Audio, load_audio
 from freetalk.geometry import Alignment, AlignOptions, Mesh, load_mesh
 
@@ -90,6 +91,7 @@ class Talker:
         audio: Audio | str | os.PathLike[str],
         mesh: Mesh | str | os.PathLike[str],
         *,
+        emotion: Emotion = "neutral",
         progress: bool | Progress | None = True,
         **options: Any,
     ) -> Animation:
@@ -97,10 +99,13 @@ class Talker:
 
         Args:
             audio: speech, or the path of a recording.
-            mesh: face or head, or the path of an OBJ, PLY, OFF or STL file.
+            mesh: face or head, or the path of an OBJ, PLY, OFF, STL or glTF file.
+            emotion: a name ``"happy"``; a mixture ``{"happy": 0.7, "surprise": 0.3}``; or keyframes
+                ``[(0.0, "neutral", 1), (2.5, {"happy": 0.7, "surprise": 0.3}, 2.5)]`` of seconds,
+                mixture and intensity, linear in between.
             progress: a progress bar on a terminal, nothing, or a callback (done, total).
-            options: fields of ``TalkerOptions``: emotion, intensity, fps, seed, num_steps, eta, unit, up,
-                forward ...
+            options: further fields of ``TalkerOptions``: intensity, fps, seed, sampler ("ddim", "ddpm",
+                "dpmpp"), num_steps, eta, audio_guidance, affect_guidance, precision, unit, up, forward ...
 
         Returns:
             round(duration * fps) frames in the mesh's own unit, axes and vertex order.
@@ -109,12 +114,48 @@ class Talker:
             ValueError: unknown emotion (the message lists the known), option out of range, empty input.
             RuntimeError: a file cannot be read.
         """
-        wanted = TalkerOptions(**options)
+        wanted = TalkerOptions(emotion=emotion_text(emotion), **options)
         sound = audio if isinstance(audio, Audio) else load_audio(audio)
         surface = _mesh(mesh)
         with _Progress(progress) as bar:
             native, self._report = self._native.animate(sound, surface, wanted, bar.update)
         return Animation._wrap(native)
+
+    def animate_many(
+        self,
+        audio: Audio | str | os.PathLike[str],
+        mesh: Mesh | str | os.PathLike[str],
+        *,
+        seeds: Sequence[int],
+        emotion: Emotion = "neutral",
+        progress: bool | Progress | None = True,
+        **options: Any,
+    ) -> list[Animation]:
+        """Several performances of one speech, their motion sampled together.
+
+        Args:
+            audio: as for :meth:`animate`.
+            mesh: as for :meth:`animate`.
+            seeds: one a performance.
+            emotion: as for :meth:`animate`.
+            progress: as for :meth:`animate`.
+            options: as for :meth:`animate`.
+
+        Returns:
+            One animation a seed, equal to that of :meth:`animate` with the seed up to rounding.
+
+        Raises:
+            ValueError: as :meth:`animate`, or no seeds.
+            RuntimeError: a file cannot be read.
+        """
+        wanted = TalkerOptions(emotion=emotion_text(emotion), **options)
+        sound = audio if isinstance(audio, Audio) else load_audio(audio)
+        surface = _mesh(mesh)
+        with _Progress(progress) as bar:
+            natives, self._report = self._native.animate_many(
+                sound, surface, seeds=list(seeds), options=wanted, progress=bar.update
+            )
+        return [Animation._wrap(native) for native in natives]
 
 
 def _mesh(mesh: Mesh | str | os.PathLike[str]) -> Mesh:

@@ -92,12 +92,35 @@ at::Tensor to_tensor(const Eigen::MatrixXd& matrix, const c10::Device& device) {
       .to(device, at::kFloat, /*non_blocking=*/false, /*copy=*/true);
 }
 
+constexpr int64_t kDpmSolverSteps = 20;  // within 2 % of a hundred steps of DDIM
+
 ats::GenerateOptions sampling(const TalkerOptions& options, ats::GenerateOptions own) {
+  if (!options.sampler.empty() && options.sampler != own.sampler) {
+    own.sampler = options.sampler;
+    own.spacing = "auto";
+    own.eta = 0;
+    if (own.sampler == "dpmpp") own.num_steps = kDpmSolverSteps;
+  }
   if (options.num_steps > 0) own.num_steps = options.num_steps;
   if (options.eta >= 0) own.eta = options.eta;
   if (options.audio_guidance >= 0) own.audio_guidance = options.audio_guidance;
   if (options.affect_guidance >= 0) own.affect_guidance = options.affect_guidance;
+  own.precision = options.precision;
   return own;
+}
+
+/// The emotion over time; neutral has one intensity.
+std::vector<ats::EmotionKey> emotion_keys(const TalkerOptions& options,
+                                          const ats::AtsOptions& own) {
+  auto keys = ats::parse_emotion_keys(options.emotion, own.emotions, options.intensity);
+  for (ats::EmotionKey& key : keys) {
+    FREETALK_CHECK(key.intensity >= 1 && key.intensity <= 3, "emotion '", options.emotion,
+                   "': intensity must be between 1 and 3, found ", key.intensity);
+    const bool neutral = own.emotions.front() == "neutral" && key.emotion[0].item<float>() == 1.0f;
+    const auto strongest = static_cast<double>(own.num_intensities);
+    key.intensity = neutral ? 1.0 : std::min(key.intensity, strongest);
+  }
+  return keys;
 }
 
 std::string metadata(const TalkerOptions& options, const Report& report) {
@@ -125,16 +148,20 @@ std::string metadata(const TalkerOptions& options, const Report& report) {
   return root.dump();
 }
 
-/// (T, 68, 3) float32 m at the requested rate, on the CPU.
-at::Tensor landmark_motion(TalkerModels& models, const audio::Audio& audio, int64_t frames,
-                           const TalkerOptions& options, c10::Device device, Stages& stages,
-                           Report& report) {
+/// Motion of each seed, (T, 68, 3) float32 m at the requested rate, on the CPU.
+std::vector<at::Tensor> landmark_motion(TalkerModels& models, const audio::Audio& audio,
+                                        int64_t frames, const std::vector<int64_t>& seeds,
+                                        const TalkerOptions& options, c10::Device device,
+                                        Stages& stages, Report& report) {
   const auto& own = models.ats->options();
-  const auto emotion = ats::parse_emotion(options.emotion, own.emotions);
-  const auto seed = static_cast<uint64_t>(options.seed);
+  std::vector<at::Tensor> result;
   if (is_silent(audio)) {
     report.notices.push_back("the audio is silent: the face rests, breathes and blinks");
-    return rest_motion(models.face.landmarks68, frames, options.fps, seed);
+    for (const int64_t seed : seeds) {
+      result.push_back(
+          rest_motion(models.face.landmarks68, frames, options.fps, static_cast<uint64_t>(seed)));
+    }
+    return result;
   }
   stages.begin("speech");
   const auto heard = audio.sample_rate_hz == speech::kSampleRateHz
@@ -144,16 +171,23 @@ at::Tensor landmark_motion(TalkerModels& models, const audio::Audio& audio, int6
   const auto features = speech::encode_speech(models.speech, samples, own.fps, {},
                                               [&](double share) { stages.at(share); });
   stages.begin("motion");
-  const bool neutral = own.emotions.front() == "neutral" && emotion[0].item<float>() == 1.0f;
-  const double strongest = static_cast<double>(own.num_intensities);
-  const double intensity = neutral ? 1.0 : std::min(options.intensity, strongest);
+  const auto keys = emotion_keys(options, own);
+  const auto felt = keys.size() == 1
+                        ? ats::constant_affect(keys[0].emotion.to(device), keys[0].intensity)
+                        : ats::interpolate(keys, features.size(0), own.fps);
+  std::vector<at::Generator> generators;
+  for (const int64_t seed : seeds) {
+    generators.push_back(core::make_generator(static_cast<uint64_t>(seed), device));
+  }
   const auto motion =
-      ats::generate(models.ats, features.to(device), emotion.to(device), intensity,
-                    sampling(options, models.generate), core::make_generator(seed, device),
-                    [&](int64_t done, int64_t total) {
+      ats::generate(models.ats, features.to(device), felt, sampling(options, models.generate),
+                    generators, [&](int64_t done, int64_t total) {
                       stages.at(static_cast<double>(done) / static_cast<double>(total));
                     });
-  return animation::resample_motion(motion.to(at::kCPU), own.fps, options.fps, frames);
+  for (const auto& one : motion.to(at::kCPU).unbind()) {
+    result.push_back(animation::resample_motion(one, own.fps, options.fps, frames));
+  }
+  return result;
 }
 
 }  // namespace
@@ -179,9 +213,22 @@ geometry::Alignment Talker::align(const geometry::Mesh& mesh,
 animation::Animation Talker::animate(const audio::Audio& audio, const geometry::Mesh& mesh,
                                      const TalkerOptions& options, const Progress& progress,
                                      Report* report) {
+  return animate_many(audio, mesh, {options.seed}, options, progress, report).front();
+}
+
+std::vector<animation::Animation> Talker::animate_many(const audio::Audio& audio,
+                                                       const geometry::Mesh& mesh,
+                                                       const std::vector<int64_t>& seeds,
+                                                       const TalkerOptions& options,
+                                                       const Progress& progress, Report* report) {
   const torch::NoGradGuard no_grad;
   options.check();
-  ats::parse_emotion(options.emotion, emotions());
+  FREETALK_CHECK(!seeds.empty(), "expected at least one seed");
+  for (const int64_t seed : seeds) {
+    FREETALK_CHECK(seed >= 0, "seed must not be negative, found ", seed);
+  }
+  emotion_keys(options, models_.ats->options());
+  sampling(options, models_.generate).check();
   audio.check();
   FREETALK_CHECK(!audio.samples.empty(), "the audio has no samples");
   Report own_report;
@@ -207,30 +254,38 @@ animation::Animation Talker::animate(const audio::Audio& audio, const geometry::
           .to(at::kFloat, device_);
 
   const int64_t frames = animation::num_frames(audio.duration_s(), options.fps);
-  const auto landmarks = landmark_motion(models_, audio, frames, options, device_, stages, found);
+  const auto motions =
+      landmark_motion(models_, audio, frames, seeds, options, device_, stages, found);
 
   stages.begin("surface");
-  animation::Animation result;
-  result.displacements = at::empty({frames, mesh.num_vertices(), 3}, at::kFloat);
   const auto back = to_tensor(pose.rotation / pose.scale, c10::kCPU);  // rows: d R / s
   const auto features = models_.stm->encode(to_tensor(parts.face_vertices(), device_), operators);
-  stm::decode_chunked(
-      models_.stm, features, operators, landmarks.to(device_),
-      [&](int64_t first, const at::Tensor& skin) {
-        const int64_t count = skin.size(0);
-        const auto moved = parts.move(skin, landmarks.narrow(0, first, count));
-        result.displacements.narrow(0, first, count).copy_(moved.matmul(back));
-        stages.at(static_cast<double>(first + count) / static_cast<double>(frames));
-      },
-      options.memory_mb << 20);
+  std::vector<animation::Animation> results;
+  for (const auto& landmarks : motions) {
+    animation::Animation result;
+    result.displacements = at::empty({frames, mesh.num_vertices(), 3}, at::kFloat);
+    const auto done_before = static_cast<int64_t>(results.size()) * frames;
+    stm::decode_chunked(
+        models_.stm, features, operators, landmarks.to(device_),
+        [&](int64_t first, const at::Tensor& skin) {
+          const int64_t count = skin.size(0);
+          const auto moved = parts.move(skin, landmarks.narrow(0, first, count));
+          result.displacements.narrow(0, first, count).copy_(moved.matmul(back));
+          stages.at(static_cast<double>(done_before + first + count) /
+                    static_cast<double>(frames * static_cast<int64_t>(motions.size())));
+        },
+        {options.precision, options.memory_mb << 20});
+    result.mesh = mesh;
+    result.fps = options.fps;
+    result.audio = audio;
+    result.frame = frame_of(found.alignment);
+    TalkerOptions used = options;
+    used.seed = seeds[results.size()];
+    result.metadata_json = metadata(used, found);
+    results.push_back(std::move(result));
+  }
   stages.end();
-
-  result.mesh = mesh;
-  result.fps = options.fps;
-  result.audio = audio;
-  result.frame = frame_of(found.alignment);
-  result.metadata_json = metadata(options, found);
-  return result;
+  return results;
 }
 
 }  // namespace freetalk::talker

@@ -115,6 +115,56 @@ def test_unknown_emotion_lists_the_known_ones(
     assert not list(tmp_path.iterdir())
 
 
+def test_sampling_options_and_keyframes_reach_the_talker(room: Path, tmp_path: Path) -> None:
+    out = tmp_path / "talk.npz"
+    emotion = "0=neutral; 0.3=happy:0.7,surprise:0.3@2.5"
+    options = [
+        "--emotion",
+        emotion,
+        "--sampler",
+        "dpmpp",
+        "--steps",
+        "6",
+        "--precision",
+        "bfloat16",
+    ]
+    assert animate(room, *options, "--guidance", "audio=1.5,emotion=2", "--out", out) == 0
+    used = ft.Animation.load(out).metadata["options"]
+    assert used["emotion"] == emotion
+    wanted = {"sampler": "dpmpp", "num_steps": 6, "precision": "bfloat16"}
+    wanted |= {"audio_guidance": 1.5, "affect_guidance": 2.0}
+    assert {name: used[name] for name in wanted} == wanted
+    assert animate(room, "--guidance", "1.5", "--steps", "2", "--out", out) == 0
+    used = ft.Animation.load(out).metadata["options"]
+    assert (used["audio_guidance"], used["affect_guidance"]) == (1.5, 1.5)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [
+        ("--guidance", "loud=2", "audio=1.5,emotion=2"),
+        ("--guidance", "audio=1,audio=2", "audio=1.5,emotion=2"),
+        ("--guidance", "-1", "0 to 100"),
+        ("--sampler", "euler", "dpmpp"),
+        ("--emotion", "0=neutral; happy", "has no time"),
+        ("--emotion", "1=happy; 0=sad", "must rise"),
+        ("--emotion", "0=happy; 1=sad@5", "between 1 and 3"),
+    ],
+)
+def test_wrong_sampling_options_are_refused(
+    room: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    option: str,
+    value: str,
+    said: str,
+) -> None:
+    assert animate(room, f"{option}={value}", "--out", tmp_path / "talk.glb") == 2
+    error = capsys.readouterr().err
+    assert len(error.strip().splitlines()) == 1 and said in error
+    assert not list(tmp_path.iterdir())
+
+
 def test_wrong_pose_options_are_refused(
     room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

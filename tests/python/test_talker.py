@@ -200,3 +200,18 @@ def test_unknown_weights_are_an_error(tmp_path: Path) -> None:
         freetalk.Talker.from_pretrained("nothing")
     with pytest.raises(RuntimeError, match=r"talker\.json"):
         freetalk.Talker.from_pretrained(tmp_path)
+
+
+def test_several_performances_at_once(
+    talker: freetalk.Talker, speech: freetalk.Audio, face: freetalk.Mesh, cache: str
+) -> None:
+    options: dict[str, object] = {"fps": 10, "cache_dir": cache, "progress": False, **POSE}
+    emotion = [(0.0, "neutral", 1), (0.6, {"happy": 0.7, "surprise": 0.3}, 2.5)]
+    both = talker.animate_many(speech, face, seeds=[5, 6], emotion=emotion, **options)
+    alone = talker.animate(speech, face, seed=6, emotion=emotion, **options)
+    assert len(both) == 2
+    assert both[1].metadata["options"]["seed"] == 6
+    torch.testing.assert_close(both[1].displacements, alone.displacements, rtol=1e-3, atol=1e-5)
+    assert not torch.allclose(both[0].displacements, alone.displacements, rtol=1e-3, atol=1e-5)
+    with pytest.raises(ValueError, match="seed"):
+        talker.animate_many(speech, face, seeds=[], **options)

@@ -27,15 +27,19 @@
 namespace freetalk::talker {
 
 struct TalkerOptions {
-  std::string emotion = "neutral";  // a name, an alias ("fear"), or a mixture "happy:0.7,sad:0.3"
-  double intensity = 2.0;           // 1 (slight) ... 3 (strong); neutral has one intensity
-  double fps = 30.0;                // frames per second of the animation, 0 < fps <= 240
-  int64_t seed = 0;                 // other seeds give other motion for the same speech
-  int64_t num_steps = 0;            // denoising steps; 0: as the weights say
-  double eta = -1.0;                // DDIM noise in [0, 1]; negative: as the weights say
-  double audio_guidance = -1.0;     // see ats::GenerateOptions; negative: as the weights say
+  /// A name, an alias ("fear"), a mixture "happy:0.7,sad:0.3", or keys over time
+  /// "0=neutral; 2.5=happy:0.7,surprise:0.3@2.5" (seconds=emotion@intensity; linear in between).
+  std::string emotion = "neutral";
+  double intensity = 2.0;        // 1 (slight) ... 3 (strong); neutral has one intensity
+  double fps = 30.0;             // frames per second of the animation, 0 < fps <= 240
+  int64_t seed = 0;              // other seeds give other motion for the same speech
+  std::string sampler;           // "ddim", "ddpm", "dpmpp"; empty: as the weights say
+  int64_t num_steps = 0;         // denoising steps; 0: as the weights say, or 20 with "dpmpp"
+  double eta = -1.0;             // DDIM noise in [0, 1]; negative: as the weights say
+  double audio_guidance = -1.0;  // see ats::GenerateOptions; negative: as the weights say
   double affect_guidance = -1.0;
-  std::string unit = "auto";  // of the mesh, see geometry::AlignOptions
+  std::string precision = "float32";  // of ATS and STM: "float32" or "bfloat16" (faster, coarser)
+  std::string unit = "auto";          // of the mesh, see geometry::AlignOptions
   std::string up = "auto";
   std::string forward = "auto";
   std::string cache_dir;    // of surface operators; empty: geometry::default_cache_dir()
@@ -47,10 +51,12 @@ struct TalkerOptions {
     v("intensity", intensity);
     v("fps", fps);
     v("seed", seed);
+    v("sampler", sampler);
     v("num_steps", num_steps);
     v("eta", eta);
     v("audio_guidance", audio_guidance);
     v("affect_guidance", affect_guidance);
+    v("precision", precision);
     v("unit", unit);
     v("up", up);
     v("forward", forward);
@@ -110,6 +116,13 @@ class Talker {
   animation::Animation animate(const audio::Audio& audio, const geometry::Mesh& mesh,
                                const TalkerOptions& options = {}, const Progress& progress = {},
                                Report* report = nullptr);
+
+  /// Several performances of one speech: the motion of all seeds is sampled together, and the mesh
+  /// is prepared once. @param seeds take the place of options.seed. @returns one animation a seed,
+  /// equal to that of animate() up to rounding.
+  std::vector<animation::Animation> animate_many(
+      const audio::Audio& audio, const geometry::Mesh& mesh, const std::vector<int64_t>& seeds,
+      const TalkerOptions& options = {}, const Progress& progress = {}, Report* report = nullptr);
 
   /// How the mesh lies relative to the canonical frame.
   geometry::Alignment align(const geometry::Mesh& mesh,

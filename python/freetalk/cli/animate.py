@@ -20,7 +20,7 @@ def run(arguments: argparse.Namespace) -> None:
     audio_file = check_readable(arguments.audio, "a recording of speech")
     mesh_file = None
     if arguments.mesh is not None:
-        mesh_file = check_readable(arguments.mesh, "a mesh (OBJ, PLY, OFF or STL)")
+        mesh_file = check_readable(arguments.mesh, "a mesh (OBJ, PLY, OFF, STL or glTF)")
     weights = find_weights(arguments.pretrained)
     if any(output.format == "mp4" for output in outputs):
         from freetalk.viz import check_video_support
@@ -50,10 +50,14 @@ def animate(
     """Generates the motion and says what was guessed about the mesh."""
     options: dict[str, Any] = {
         name: getattr(arguments, name)
-        for name in ("emotion", "intensity", "fps", "seed", "unit", "up", "forward")
+        for name in ("emotion", "intensity", "fps", "seed", "precision", "unit", "up", "forward")
     }
+    if hasattr(arguments, "sampler"):
+        options["sampler"] = arguments.sampler
     if hasattr(arguments, "steps"):
         options["num_steps"] = arguments.steps
+    if hasattr(arguments, "guidance"):
+        options.update(arguments.guidance)
     animation = talker.animate(audio, mesh, **options, progress=not report.quiet)
     found = talker.report
     assert found is not None

@@ -6,6 +6,8 @@ import argparse
 import math
 from typing import Any, NoReturn
 
+from freetalk.cli.sampling import add_sampling
+
 UNITS = ("auto", "m", "cm", "mm", "in")
 AXES = ("auto", "+x", "-x", "+y", "-y", "+z", "-z")
 DEFAULT_WEIGHTS = "open-small"
@@ -146,7 +148,10 @@ def _add_animate(commands: Any) -> None:
         description=(
             "Animates a face mesh of any topology with recorded speech. Outputs by name: talk.glb or "
             "talk.gltf (morph targets), talk.npz (arrays), talk.mp4 (rendered, with sound), and for one "
-            "mesh a frame a folder: 'frames/' or 'frames/*.obj' (OBJ), 'frames/*.ply' (PLY)."
+            "mesh a frame a folder: 'frames/' or 'frames/*.obj' (OBJ), 'frames/*.ply' (PLY). "
+            "An emotion is a name, a mixture 'happy:0.7,surprise:0.3', or keyframes "
+            "'0=neutral; 2.5=happy:0.7,surprise:0.3@2.5' (SECONDS=EMOTION@INTENSITY, the intensity "
+            "optional), between which it changes evenly."
         ),
     )
     parser.add_argument(
@@ -154,16 +159,12 @@ def _add_animate(commands: Any) -> None:
     )
     mesh_help = "face: OBJ, PLY, OFF, STL; without it the built-in mean face"
     parser.add_argument("--mesh", metavar="FILE", help=mesh_help)
-    parser.add_argument(
-        "--emotion", default="neutral", help="such as neutral, happy, angry, sad, surprise, afraid"
-    )
+    emotion_help = "a name such as neutral, happy or angry, a mixture, or keyframes (see above)"
+    parser.add_argument("--emotion", default="neutral", help=emotion_help)
     parser.add_argument("--intensity", type=intensity, default=2.0, help="1 (slight) to 3 (strong)")
     parser.add_argument("--fps", type=positive, default=30.0, help="frames per second")
     parser.add_argument("--seed", type=seed, default=0, help="another seed, another performance")
-    steps_help = "denoising steps; fewer are faster; by default those of the weights"
-    parser.add_argument(
-        "--steps", type=natural, default=argparse.SUPPRESS, metavar="N", help=steps_help
-    )
+    add_sampling(parser, natural)
     _add_pose(parser)
     _add_pretrained(parser)
     parser.add_argument(

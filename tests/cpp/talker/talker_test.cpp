@@ -233,6 +233,15 @@ TEST_F(TalkerTest, BadInputIsOneSentence) {
   rejected([](TalkerOptions& o) { o.fps = 241; });
   rejected([](TalkerOptions& o) { o.seed = -1; });
   rejected([](TalkerOptions& o) { o.unit = "furlong"; });
+  rejected([](TalkerOptions& o) { o.sampler = "euler"; });
+  rejected([](TalkerOptions& o) { o.precision = "float8"; });
+  rejected([](TalkerOptions& o) {
+    o.sampler = "dpmpp";
+    o.eta = 0.5;
+  });
+  rejected([](TalkerOptions& o) { o.num_steps = 1001; });
+  rejected([](TalkerOptions& o) { o.emotion = "0=neutral;happy"; });
+  rejected([](TalkerOptions& o) { o.emotion = "0=neutral;1=happy@4"; });
   auto wanted = options();
   wanted.emotion = "hungry";
   try {
@@ -255,6 +264,42 @@ TEST_F(TalkerTest, AcceptsAliasesAndMixtures) {
   wanted.emotion = "happy:0.7,sad:0.3";
   EXPECT_FALSE(
       at::equal(talker.animate(hum(0.3), mesh, wanted).displacements, alias.displacements));
+}
+
+TEST_F(TalkerTest, EmotionKeysBeginAsTheFirstAndEndAsTheLast) {
+  auto talker = Talker::from_pretrained(dir_, c10::kCPU);
+  const auto mesh = face_mesh(1.0);
+  const auto animate = [&](const char* emotion) {
+    auto wanted = options();
+    wanted.emotion = emotion;
+    return talker.animate(hum(0.5), mesh, wanted).displacements;
+  };
+  // Two equal keys are one constant emotion, up to the rounding of other sums.
+  EXPECT_TRUE(at::allclose(animate("0=happy@3;0.2=happy@3"), animate("happy@3"), 1e-3, 1e-7));
+  // Both keys lie outside the speech: it feels only the one that holds there.
+  EXPECT_TRUE(at::allclose(animate("8=sad@1;9=happy@3"), animate("sad@1"), 1e-3, 1e-7));
+  EXPECT_FALSE(at::allclose(animate("0=sad@1;0.4=happy@3"), animate("sad@1"), 1e-3, 1e-7));
+  // Neutral has one intensity.
+  EXPECT_TRUE(at::equal(animate("neutral@3"), animate("neutral@1")));
+}
+
+TEST_F(TalkerTest, SeveralSeedsAtOnce) {
+  auto talker = Talker::from_pretrained(dir_, c10::kCPU);
+  const auto mesh = face_mesh(1.0);
+  auto wanted = options();
+  wanted.sampler = "dpmpp";
+  const auto all = talker.animate_many(hum(0.5), mesh, {4, 5}, wanted);
+  ASSERT_EQ(all.size(), 2u);
+  for (size_t k = 0; k < 2; ++k) {
+    wanted.seed = 4 + static_cast<int64_t>(k);
+    const auto alone = talker.animate(hum(0.5), mesh, wanted);
+    // Matrix products of other sizes round differently.
+    EXPECT_TRUE(at::allclose(all[k].displacements, alone.displacements, 1e-3, 1e-7));
+    EXPECT_EQ(all[k].metadata_json, alone.metadata_json);
+  }
+  EXPECT_FALSE(at::allclose(all[0].displacements, all[1].displacements, 1e-3, 1e-7));
+  EXPECT_THROW(talker.animate_many(hum(0.5), mesh, {}, wanted), std::invalid_argument);
+  EXPECT_THROW(talker.animate_many(hum(0.5), mesh, {-1}, wanted), std::invalid_argument);
 }
 
 TEST_F(TalkerTest, BrokenWeightsNameTheFile) {
