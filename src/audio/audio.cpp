@@ -3,10 +3,12 @@
 #include <sndfile.h>
 
 #include <algorithm>
+#include <charconv>
 #include <cmath>
 #include <memory>
-#include <regex>
+#include <optional>
 #include <string>
+#include <string_view>
 
 #include "freetalk/core/error.h"
 #include "freetalk/core/file.h"
@@ -22,6 +24,7 @@ using File = std::unique_ptr<SNDFILE, CloseFile>;
 
 constexpr int64_t kBlockSamples = 65536;  // over all channels
 constexpr double kMaxMagnitude = 1e10;    // above any integer scale; also false for NaN
+const char* const kTooLong = ": is longer than 6 hours; split it into shorter files";
 const char* const kConvert =
     "; convert it to WAV or FLAC, for example with: ffmpeg -i INPUT output.wav";
 
@@ -49,25 +52,66 @@ File open_for_reading(const std::filesystem::path& path, SF_INFO& info) {
   return file;
 }
 
-/// Whether a WAV or AIFF header promises much more data than the file holds. libsndfile shortens
-/// such a file in silence and only notes it in its log. Writers that stream leave a size of about
-/// 2^31 or 2^32: no promise.
-bool header_promises_more(SNDFILE* file, const SF_INFO& info) {
+/// Bytes of sound that a header promises and that there are.
+struct DataSize {
+  int64_t promised = 0, present = 0;
+};
+
+/// Reads "data : 3200 (should be 1600)" at the start of `text`, as libsndfile's log words it.
+std::optional<DataSize> parse_shortened(std::string_view text) {
+  const auto skip = [&](std::string_view characters) {
+    const auto next = text.find_first_not_of(characters);
+    text.remove_prefix(std::min(next, text.size()));
+  };
+  const auto number = [&](int64_t& value) {
+    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+    text.remove_prefix(static_cast<size_t>(end - text.data()));
+    return error == std::errc();
+  };
+  constexpr std::string_view kCorrection = "(should be ";
+  DataSize size;
+  text.remove_prefix(4);
+  skip(" :");
+  if (!number(size.promised)) {
+    return std::nullopt;
+  }
+  skip(" ");
+  if (text.substr(0, kCorrection.size()) != kCorrection) {
+    return std::nullopt;
+  }
+  text.remove_prefix(kCorrection.size());
+  return number(size.present) ? std::optional(size) : std::nullopt;
+}
+
+/// What libsndfile shortened, if it did: it does so in silence and only notes it in its log.
+std::optional<DataSize> shortened_data(SNDFILE* file) {
   std::string log(16384, '\0');
   const int used = sf_command(file, SFC_GET_LOG_INFO, log.data(), static_cast<int>(log.size()));
-  log.resize(static_cast<size_t>(std::max(0, used)));
-  std::smatch match;
-  static const std::regex kShortened(R"((?:data|SSND)\s*:\s*(\d{1,18}) \(should be (\d{1,18})\))");
-  if (!std::regex_search(log, match, kShortened)) {
+  log.resize(static_cast<size_t>(std::clamp(used, 0, static_cast<int>(log.size()))));
+  for (const std::string_view chunk : {"data", "SSND"}) {
+    for (auto at = log.find(chunk); at != std::string::npos; at = log.find(chunk, at + 1)) {
+      if (const auto size = parse_shortened(std::string_view(log).substr(at))) {
+        return size;
+      }
+    }
+  }
+  return std::nullopt;
+}
+
+/// Whether a WAV or AIFF header promises much more data than the file holds. Writers that stream
+/// leave a size of about 2^31 or 2^32: no promise.
+bool header_promises_more(SNDFILE* file, const SF_INFO& info) {
+  constexpr int64_t kStreaming = 0x7FFF0000;
+  const auto size = shortened_data(file);
+  if (!size || size->promised >= kStreaming) {
     return false;
   }
-  const int64_t promised = std::stoll(match[1].str());
-  const int64_t present = std::stoll(match[2].str());
-  constexpr int64_t kStreaming = 0x7FFF0000;
-  const double bytes_per_s = info.frames > 0 ? static_cast<double>(present) * info.samplerate /
-                                                   static_cast<double>(info.frames)
-                                             : 1.0;
-  return promised<kStreaming&& static_cast<double>(promised - present)> 0.02 * bytes_per_s;
+  const double bytes_per_s =
+      info.frames > 0
+          ? static_cast<double>(size->present) * info.samplerate / static_cast<double>(info.frames)
+          : 1.0;
+  const double missing = static_cast<double>(size->promised) - static_cast<double>(size->present);
+  return missing > 0.02 * bytes_per_s;
 }
 
 /// Reads the frames of a file block by block and averages its channels.
@@ -97,8 +141,7 @@ class MonoReader {
     }
     num_read_ += std::max<int64_t>(0, count);
     FREETALK_RUNTIME_CHECK(static_cast<double>(num_read_) <= kMaxDurationS * info_.samplerate,
-                           name_, ": is longer than ", kMaxDurationS / 3600.0,
-                           " hours; split it into shorter files");
+                           name_, kTooLong);
     return std::max<int64_t>(0, count);
   }
 
@@ -182,9 +225,18 @@ Audio load_audio(const std::filesystem::path& path, int64_t sample_rate_hz) {
   SF_INFO info{};
   auto file = open_for_reading(path, info);
   Resampler resampler(info.samplerate, sample_rate_hz);
+  // A header may lie: room is made at once only for what the file's size can hold.
+  const bool plausible =
+      info.frames > 0 && static_cast<uintmax_t>(info.frames) <= std::filesystem::file_size(path);
   MonoReader reader(path.string(), std::move(file), info);
   Audio audio;
   audio.sample_rate_hz = sample_rate_hz;
+  if (plausible) {
+    FREETALK_RUNTIME_CHECK(static_cast<double>(info.frames) <= kMaxDurationS * info.samplerate,
+                           path.string(), kTooLong);
+    audio.samples.reserve(
+        static_cast<size_t>(resampled_size(info.frames, info.samplerate, sample_rate_hz)));
+  }
   while (const int64_t count = reader.read()) {
     resampler.push(reader.mono(), count, audio.samples);
   }

@@ -2,7 +2,10 @@
 
 #include <torch/torch.h>
 
+#include <algorithm>
+
 #include "freetalk/core/error.h"
+#include "inference_cache.h"
 #include "layers.h"
 
 namespace freetalk::speech {
@@ -43,6 +46,16 @@ SpeechEncoderImpl::SpeechEncoderImpl(SpeechEncoderOptions options)
   feature_extractor_->initialize(options_);
   feature_projection_->initialize(options_);
   encoder_->initialize(options_);
+  inference_ = std::make_unique<InferenceCache>();
+}
+
+SpeechEncoderImpl::~SpeechEncoderImpl() = default;
+
+void SpeechEncoderImpl::train(bool on) {
+  torch::nn::Module::train(on);
+  if (on) {
+    inference_->clear();
+  }
 }
 
 std::optional<at::Tensor> SpeechEncoderImpl::check_wave(
@@ -58,31 +71,129 @@ std::optional<at::Tensor> SpeechEncoderImpl::check_wave(
   return mask_lengths(wave, *mask, receptive_field());
 }
 
-at::Tensor SpeechEncoderImpl::extract_features(const at::Tensor& wave,
-                                               const std::optional<at::Tensor>& mask) {
-  return feature_extractor_->forward(wave, check_wave(wave, mask));
+std::optional<at::Tensor> SpeechEncoderImpl::count_frames(
+    std::optional<at::Tensor> num_samples) const {
+  auto count = std::move(num_samples);
+  for (size_t i = 0; count && i < options_.conv_dim.size(); ++i) {
+    count = at::floor_divide(*count - options_.conv_kernel[i], options_.conv_stride[i]) + 1;
+    count = count->clamp_min(0);
+  }
+  return count;
 }
 
-at::Tensor SpeechEncoderImpl::encode_features(const at::Tensor& features,
-                                              const std::optional<at::Tensor>& valid_frames) {
+at::Tensor SpeechEncoderImpl::extract(const at::Tensor& wave,
+                                      const std::optional<at::Tensor>& valid,
+                                      const WindowMoments* moments) {
+  if (const auto dtype = fast_dtype(wave, *feature_extractor_, /*has_dropout=*/false)) {
+    return extract_fast(wave, valid, moments, *dtype);
+  }
+  return feature_extractor_->forward(wave, valid, moments);
+}
+
+at::Tensor SpeechEncoderImpl::extract_fast(const at::Tensor& wave,
+                                           const std::optional<at::Tensor>& valid,
+                                           const WindowMoments* moments, at::ScalarType dtype) {
+  const FastScope scope;
+  const auto network = inference_->get(*this, dtype);
+  const int64_t kernel = options_.conv_kernel[0], stride = options_.conv_stride[0];
+  const auto lengths = host_lengths(valid, wave.size(0), wave.size(1));
+  auto result = at::zeros({wave.size(0), num_frames(wave.size(1)), options_.conv_dim.back()},
+                          wave.options().dtype(dtype));
+  for (int64_t row = 0; row < wave.size(0); ++row) {
+    const int64_t length = lengths[static_cast<size_t>(row)];
+    const auto samples = wave[row].to(at::kFloat).contiguous();
+    std::optional<WindowMoments> own;
+    if (options_.feat_extract_norm == "group") {
+      const int64_t counted = options_.mask_group_norm ? length : wave.size(1);
+      own = moments != nullptr
+                ? *moments
+                : window_moments(samples, kernel, stride, (counted - kernel) / stride + 1);
+    }
+    const auto features = network->extract(samples.narrow(0, 0, length), own);
+    if (wave.size(0) == 1 && features.size(0) == result.size(1)) {
+      return features.unsqueeze(0).to(wave.scalar_type());
+    }
+    result[row].narrow(0, 0, features.size(0)).copy_(features);
+  }
+  return result.to(wave.scalar_type());
+}
+
+at::Tensor SpeechEncoderImpl::encode(const at::Tensor& features,
+                                     const std::optional<at::Tensor>& valid_frames, int64_t layer,
+                                     std::vector<at::Tensor>* states) {
   FREETALK_CHECK(features.dim() == 3 && features.size(2) == options_.conv_dim.back(),
                  "features have shape ", features.sizes(), ": expected (B, S', ",
                  options_.conv_dim.back(), ")");
   FREETALK_CHECK(!valid_frames || valid_frames->sizes() == at::IntArrayRef({features.size(0)}),
                  "valid_frames must have shape (B,) = (", features.size(0), ",)");
-  return encoder_->forward(feature_projection_->forward(features), valid_frames);
+  FREETALK_CHECK(
+      layer >= -1 && layer <= options_.num_hidden_layers, "layer is ", layer,
+      ": it must be -1 (the last) or 0 to num_hidden_layers = ", options_.num_hidden_layers);
+  layer = layer < 0 ? options_.num_hidden_layers : layer;
+  if (const auto dtype = fast_dtype(features, *this, /*has_dropout=*/true)) {
+    return encode_fast(features, valid_frames, layer, states, *dtype);
+  }
+  return encoder_->forward(feature_projection_->forward(features), valid_frames, layer, states);
 }
 
-at::Tensor SpeechEncoderImpl::forward(const at::Tensor& wave,
-                                      const std::optional<at::Tensor>& mask) {
-  auto valid = check_wave(wave, mask);
-  const auto features = feature_extractor_->forward(wave, valid);
-  if (valid) {  // samples -> frames, layer after layer
-    for (size_t i = 0; i < options_.conv_dim.size(); ++i) {
-      valid = at::floor_divide(*valid - options_.conv_kernel[i], options_.conv_stride[i]) + 1;
-    }
+at::Tensor SpeechEncoderImpl::encode_fast(const at::Tensor& features,
+                                          const std::optional<at::Tensor>& valid_frames,
+                                          int64_t layer, std::vector<at::Tensor>* states,
+                                          at::ScalarType dtype) {
+  const FastScope scope;
+  const auto network = inference_->get(*this, dtype);
+  const auto lengths = host_lengths(valid_frames, features.size(0), features.size(1));
+  std::vector<at::Tensor> parts;  // clips without their padding
+  for (size_t row = 0; row < lengths.size(); ++row) {
+    parts.push_back(features[static_cast<int64_t>(row)].narrow(0, 0, lengths[row]));
   }
-  return encode_features(features, valid);
+  const auto restore = [&](const at::Tensor& packed) {  // (N, C) -> (B, S', C), zeros as padding
+    const auto result =
+        at::zeros({features.size(0), features.size(1), options_.hidden_size}, features.options());
+    const auto clips = packed.split_with_sizes(lengths);
+    for (size_t row = 0; row < lengths.size(); ++row) {
+      result[static_cast<int64_t>(row)].narrow(0, 0, lengths[row]).copy_(clips[row]);
+    }
+    return result;
+  };
+  const auto last = network->encode(at::cat(parts), lengths, layer, states);
+  if (states != nullptr) {
+    std::transform(states->begin(), states->end(), states->begin(), restore);
+    return states->back();
+  }
+  return restore(last);
+}
+
+at::Tensor SpeechEncoderImpl::extract_features(const at::Tensor& wave,
+                                               const std::optional<at::Tensor>& mask) {
+  return extract(wave, check_wave(wave, mask), nullptr);
+}
+
+at::Tensor SpeechEncoderImpl::encode_features(const at::Tensor& features,
+                                              const std::optional<at::Tensor>& valid_frames,
+                                              int64_t layer) {
+  return encode(features, valid_frames, layer, nullptr);
+}
+
+std::vector<at::Tensor> SpeechEncoderImpl::encode_states(
+    const at::Tensor& features, const std::optional<at::Tensor>& valid_frames) {
+  std::vector<at::Tensor> states;
+  encode(features, valid_frames, -1, &states);
+  return states;
+}
+
+at::Tensor SpeechEncoderImpl::forward(const at::Tensor& wave, const std::optional<at::Tensor>& mask,
+                                      int64_t layer) {
+  const auto valid = check_wave(wave, mask);
+  return encode(extract(wave, valid, nullptr), count_frames(valid), layer, nullptr);
+}
+
+std::vector<at::Tensor> SpeechEncoderImpl::hidden_states(const at::Tensor& wave,
+                                                         const std::optional<at::Tensor>& mask) {
+  const auto valid = check_wave(wave, mask);
+  std::vector<at::Tensor> states;
+  encode(extract(wave, valid, nullptr), count_frames(valid), -1, &states);
+  return states;
 }
 
 int64_t SpeechEncoderImpl::num_frames(int64_t num_samples) const {

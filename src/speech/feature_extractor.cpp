@@ -52,7 +52,15 @@ ConvLayerImpl::ConvLayerImpl(const SpeechEncoderOptions& options, size_t index)
   }
 }
 
-at::Tensor ConvLayerImpl::forward(const at::Tensor& x, const std::optional<at::Tensor>& valid) {
+at::Tensor ConvLayerImpl::forward(const at::Tensor& x, const std::optional<at::Tensor>& valid,
+                                  const WindowMoments* moments) {
+  if (norm_ == Norm::kGroup && moments != nullptr) {
+    const auto folded =
+        fold_group_norm(conv_->weight, group_norm_->weight, group_norm_->bias, *moments);
+    const auto y = at::conv1d(x, folded.weight.to(x.dtype()), folded.bias.to(x.dtype()),
+                              conv_->options.stride()->at(0));
+    return activate(activation_, y);
+  }
   auto y = conv_->forward(x);
   if (norm_ == Norm::kGroup) {
     y = valid ? masked_instance_norm(y, *valid, group_norm_) : group_norm_->forward(y);
@@ -82,14 +90,15 @@ FeatureExtractorImpl::FeatureExtractorImpl(const SpeechEncoderOptions& options)
 }
 
 at::Tensor FeatureExtractorImpl::forward(const at::Tensor& wave,
-                                         const std::optional<at::Tensor>& lengths) {
+                                         const std::optional<at::Tensor>& lengths,
+                                         const WindowMoments* moments) {
   std::optional<at::Tensor> valid;  // of the first layer, the only one with group norm
   if (lengths && mask_group_norm_) {
     valid = at::floor_divide(*lengths - first_kernel_, first_stride_) + 1;
   }
   auto x = wave.unsqueeze(1);  // (B, 1, S)
   for (const auto& layer : *conv_layers_) {
-    x = layer->as<ConvLayerImpl>()->forward(x, valid);
+    x = layer->as<ConvLayerImpl>()->forward(x, valid, moments);
   }
   return x.transpose(1, 2);  // (B, S', C_conv)
 }

@@ -4,22 +4,25 @@
 
 #include <algorithm>
 #include <cmath>
-#include <vector>
 
 #include "freetalk/core/error.h"
+#include "pieces.h"
 
 namespace freetalk::speech {
 namespace {
 
-/// Values of `features` (..., S', C) at fractional frame positions (T,) double.
-at::Tensor interpolate(const at::Tensor& features, at::Tensor positions) {
-  const int64_t last = features.size(-2) - 1;
-  positions = positions.clamp(0.0, static_cast<double>(last));
-  const auto lower = positions.floor();
-  const auto weight = (positions - lower).to(features.options()).unsqueeze(1);  // (T, 1)
-  const auto index = lower.to(at::kLong);
-  const auto left = features.index_select(-2, index.to(features.device()));
-  const auto right = features.index_select(-2, (index + 1).clamp_max(last).to(features.device()));
+/// interpolate_frames() of a padded batch: features (B, S', C), positions (T,), valid (B,).
+at::Tensor interpolate_batch(const at::Tensor& features, const at::Tensor& positions,
+                             const at::Tensor& valid) {
+  const auto last = (valid.to(features.device()) - 1).clamp_min(0).unsqueeze(1);         // (B, 1)
+  const auto place = at::minimum(positions.to(features.device()).clamp_min(0.0), last);  // (B, T)
+  const auto lower = place.floor();
+  const auto weight = (place - lower).to(features.options()).unsqueeze(2);
+  const auto take = [&](const at::Tensor& index) {  // (B, T) -> (B, T, C)
+    return features.gather(1, index.unsqueeze(2).expand({-1, -1, features.size(2)}));
+  };
+  const auto left = take(lower.to(at::kLong));
+  const auto right = take(at::minimum(lower.to(at::kLong) + 1, last));
   return left + weight * (right - left);
 }
 
@@ -34,81 +37,6 @@ void check_features(const at::Tensor& features, int64_t num_frames) {
 
 void check_fps(double fps) {
   FREETALK_CHECK(std::isfinite(fps) && fps > 0.0, "fps is ", fps, ": it must be positive");
-}
-
-/// Evaluation mode for a scope, then every submodule as it was.
-class EvaluationScope {
- public:
-  explicit EvaluationScope(torch::nn::Module& module) : module_(module) {
-    for (const auto& part : module_.modules(/*include_self=*/false)) {
-      was_training_.push_back(part->is_training());
-    }
-    self_was_training_ = module_.is_training();
-    module_.eval();
-  }
-  ~EvaluationScope() {
-    module_.train(self_was_training_);
-    size_t index = 0;
-    for (const auto& part : module_.modules(/*include_self=*/false)) {  // parents come first
-      part->train(was_training_[index++]);
-    }
-  }
-  EvaluationScope(const EvaluationScope&) = delete;
-  EvaluationScope& operator=(const EvaluationScope&) = delete;
-
- private:
-  torch::nn::Module& module_;
-  bool self_was_training_ = false;
-  std::vector<bool> was_training_;
-};
-
-/// One piece of a long clip, in samples, with the cross-fades that join it to its neighbours.
-struct Window {
-  int64_t start = 0;
-  int64_t size = 0;
-  double fade_in = -1e9;   // centre of the cross-fade with the window before, in samples
-  double fade_out = 1e18;  // centre of the cross-fade with the window after
-};
-
-/// Equal windows that cover `num_samples`, starts on the frame grid, overlaps of at least 2
-/// `context`.
-std::vector<Window> plan_windows(int64_t num_samples, int64_t size, int64_t context,
-                                 int64_t stride) {
-  if (num_samples <= size) {
-    return {{0, num_samples}};
-  }
-  const int64_t hop = size - 2 * context - stride;  // a stride less: starts are rounded to the grid
-  const int64_t span = num_samples - size;
-  const int64_t count = (span + hop - 1) / hop + 1;
-  std::vector<Window> windows;
-  for (int64_t k = 0; k < count; ++k) {
-    const int64_t start = span * k / (count - 1) / stride * stride;
-    windows.push_back({start, k + 1 < count ? size : num_samples - start});
-  }
-  for (size_t k = 0; k + 1 < windows.size(); ++k) {
-    const double centre =
-        0.5 * static_cast<double>(windows[k + 1].start + windows[k].start + windows[k].size);
-    windows[k].fade_out = windows[k + 1].fade_in = centre;
-  }
-  return windows;
-}
-
-/// Adds the features of one window to the motion frames that it reaches.
-void add_window(const at::Tensor& features, const Window& window, double fps, double fade,
-                FrameTiming timing, at::Tensor& result) {
-  const double rate = static_cast<double>(kSampleRateHz);
-  const double first_s = (window.fade_in - 0.5 * fade) / rate;
-  const double last_s = (window.fade_out + 0.5 * fade) / rate;
-  const double last_frame = static_cast<double>(result.size(0) - 1);
-  const auto begin = static_cast<int64_t>(std::clamp(std::ceil(first_s * fps), 0.0, last_frame));
-  const auto end = static_cast<int64_t>(std::clamp(std::floor(last_s * fps), 0.0, last_frame)) + 1;
-  const auto seconds = at::arange(begin, end, at::kDouble) / fps;
-  const double start_s = static_cast<double>(window.start) / rate;
-  const auto values = interpolate(features, (seconds - start_s - timing.offset_s) * timing.rate_hz);
-  const auto rise = ((seconds * rate - window.fade_in) / fade + 0.5).clamp(0.0, 1.0);
-  const auto fall = ((window.fade_out - seconds * rate) / fade + 0.5).clamp(0.0, 1.0);
-  const auto weight = (rise + fall - 1.0).to(values.options()).unsqueeze(1);
-  result.narrow(0, begin, end - begin).add_(values * weight);
 }
 
 }  // namespace
@@ -132,11 +60,18 @@ at::Tensor normalize_wave(const at::Tensor& wave, const std::optional<at::Tensor
 }
 
 at::Tensor resample_features(const at::Tensor& features, int64_t num_frames, double fps,
-                             FrameTiming timing) {
+                             FrameTiming timing, const std::optional<at::Tensor>& valid_frames) {
   check_features(features, num_frames);
   check_fps(fps);
   const auto seconds = at::arange(num_frames, at::kDouble) / fps;
-  return interpolate(features, (seconds - timing.offset_s) * timing.rate_hz);
+  const auto positions = (seconds - timing.offset_s) * timing.rate_hz;
+  if (!valid_frames) {
+    return interpolate_frames(features, positions);
+  }
+  FREETALK_CHECK(features.dim() == 3 && valid_frames->sizes() == at::IntArrayRef(features.size(0)),
+                 "valid_frames have shape ", valid_frames->sizes(), ", features ", features.sizes(),
+                 ": expected (B,) and (B, S', C)");
+  return interpolate_batch(features, positions, *valid_frames);
 }
 
 at::Tensor resample_features(const at::Tensor& features, int64_t num_frames) {
@@ -150,10 +85,19 @@ at::Tensor resample_features(const at::Tensor& features, int64_t num_frames) {
 }
 
 void EncodeOptions::check() const {
-  FREETALK_CHECK(std::isfinite(window_s) && std::isfinite(context_s) && context_s >= 0.1 &&
-                     window_s >= 2.5 * context_s,
-                 "window_s is ", window_s, " and context_s ", context_s,
-                 ": context_s must be at least 0.1 and window_s at least 2.5 times as long");
+  FREETALK_CHECK(std::isfinite(context_s) && context_s >= 0.1, "context_s is ", context_s,
+                 ": it must be at least 0.1");
+  FREETALK_CHECK(std::isfinite(window_s) && window_s > 0.0, "window_s is ", window_s,
+                 ": it must be positive");
+  FREETALK_CHECK(std::isfinite(lookahead_s) && lookahead_s >= 0.0, "lookahead_s is ", lookahead_s,
+                 ": it must not be negative");
+  FREETALK_CHECK(std::isfinite(fade_s) && fade_s >= 0.0, "fade_s is ", fade_s,
+                 ": it must not be negative");
+  FREETALK_CHECK(layer >= -1, "layer is ", layer, ": it must be -1 (the last) or a layer's number");
+  FREETALK_CHECK(resample == "output" || resample == "conv", "resample is '", resample,
+                 "': use output or conv");
+  FREETALK_CHECK(precision == "float32" || precision == "bfloat16", "precision is '", precision,
+                 "': use float32 or bfloat16");
 }
 
 int64_t num_motion_frames(int64_t num_samples, double fps) {
@@ -162,36 +106,63 @@ int64_t num_motion_frames(int64_t num_samples, double fps) {
   return std::max<int64_t>(1, std::llround(frames));
 }
 
-at::Tensor encode_speech(SpeechEncoder& encoder, const at::Tensor& samples, double fps,
-                         const EncodeOptions& options,
-                         const std::function<void(double)>& progress) {
+at::Tensor encode_speech(SpeechEncoder& encoder, const at::Tensor& samples,
+                         std::optional<double> fps, const EncodeOptions& options,
+                         const std::function<void(double)>& progress,
+                         const std::optional<at::Tensor>& layer_weights) {
   FREETALK_CHECK(samples.dim() == 1 && samples.size(0) > 0, "samples have shape ", samples.sizes(),
                  ": expected (S,) with at least one sample");
-  options.check();
-  const int64_t num_frames = num_motion_frames(samples.size(0), fps);
   const torch::NoGradGuard no_grad;
-  const EvaluationScope evaluation(*encoder);
-  const auto target = encoder->parameters().front().options().requires_grad(false);
-  const double rate = static_cast<double>(kSampleRateHz);
-  const double context = options.context_s * rate;
-
-  auto wave = normalize_wave(samples);
-  const int64_t missing = encoder->receptive_field() - wave.size(0);
-  if (missing > 0) {
-    wave = at::constant_pad_nd(wave, {0, missing});
+  PieceEncoder pieces(encoder, fps, options, layer_weights);
+  const int64_t num_frames = pieces.num_frames(samples.size(0));
+  if (!options.streamable) {
+    pieces.set_clip(samples);
   }
-  const auto windows = plan_windows(wave.size(0), std::llround(options.window_s * rate),
-                                    std::llround(context), encoder->frame_stride());
-  auto result = at::zeros({num_frames, encoder->options().hidden_size}, target);
-  for (size_t k = 0; k < windows.size(); ++k) {
-    const auto piece = wave.narrow(0, windows[k].start, windows[k].size).to(target).unsqueeze(0);
-    const auto features = encoder->forward(piece).squeeze(0);  // (S', C)
-    add_window(features, windows[k], fps, context, encoder->timing(), result);
-    if (progress) {
-      progress(static_cast<double>(k + 1) / static_cast<double>(windows.size()));
+  auto result = at::empty({num_frames, encoder->options().hidden_size}, pieces.result_options());
+  int64_t filled = 0;
+  const auto append = [&](const at::Tensor& frames) {
+    result.narrow(0, filled, frames.size(0)).copy_(frames);
+    filled += frames.size(0);
+  };
+  for (int64_t first = 0; first < samples.size(0); first += pieces.hop()) {
+    const int64_t count = std::min(pieces.hop(), samples.size(0) - first);
+    append(pieces.push(samples.narrow(0, first, count)));
+    if (progress && first + count < samples.size(0)) {
+      progress(static_cast<double>(first + count) / static_cast<double>(samples.size(0)));
     }
   }
+  append(pieces.finish());
+  if (progress) {
+    progress(1.0);
+  }
   return result;
+}
+
+at::Tensor motion_features(SpeechEncoder& encoder, const at::Tensor& wave,
+                           const std::optional<at::Tensor>& mask, int64_t num_frames, double fps,
+                           const EncodeOptions& options,
+                           const std::optional<at::Tensor>& layer_weights) {
+  options.check();
+  check_fps(fps);
+  FREETALK_CHECK(num_frames > 0, "num_frames is ", num_frames, ": it must be positive");
+  const auto layers = [&](const at::Tensor& features, const std::optional<at::Tensor>& valid) {
+    return layer_weights ? mix_states(encoder->encode_states(features, valid), *layer_weights)
+                         : encoder->encode_features(features, valid, options.layer);
+  };
+  const auto features = encoder->extract_features(wave, mask);
+  std::optional<at::Tensor> valid, motion;
+  if (mask) {
+    const auto samples = (*mask != 0).sum(1);
+    valid = encoder->count_frames(samples);
+    motion = (samples * (fps / static_cast<double>(kSampleRateHz)))
+                 .round()
+                 .clamp(1.0, static_cast<double>(num_frames))
+                 .to(at::kLong);
+  }
+  if (options.resample == "conv") {
+    return layers(resample_features(features, num_frames, fps, encoder->timing(), valid), motion);
+  }
+  return resample_features(layers(features, valid), num_frames, fps, encoder->timing(), valid);
 }
 
 }  // namespace freetalk::speech

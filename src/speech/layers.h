@@ -8,8 +8,10 @@
 
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "freetalk/speech/options.h"
+#include "statistics.h"
 
 namespace freetalk::speech {
 
@@ -20,7 +22,9 @@ class ConvLayerImpl : public torch::nn::Module {
  public:
   ConvLayerImpl(const SpeechEncoderOptions& options, size_t index);
   /// @param valid (B,) int64 real output positions, or nothing when all are
-  at::Tensor forward(const at::Tensor& x, const std::optional<at::Tensor>& valid);
+  /// @param moments of the wave, for group norm with other statistics than those of x
+  at::Tensor forward(const at::Tensor& x, const std::optional<at::Tensor>& valid,
+                     const WindowMoments* moments = nullptr);
   void initialize(const SpeechEncoderOptions& options);
 
  private:
@@ -35,8 +39,9 @@ class ConvLayerImpl : public torch::nn::Module {
 class FeatureExtractorImpl : public torch::nn::Module {
  public:
   explicit FeatureExtractorImpl(const SpeechEncoderOptions& options);
-  /// (B, S) -> (B, S', C_conv). `lengths` (B,) int64 real samples.
-  at::Tensor forward(const at::Tensor& wave, const std::optional<at::Tensor>& lengths);
+  /// (B, S) -> (B, S', C_conv). `lengths` (B,) int64 real samples. `moments` as in ConvLayer.
+  at::Tensor forward(const at::Tensor& wave, const std::optional<at::Tensor>& lengths,
+                     const WindowMoments* moments = nullptr);
   void initialize(const SpeechEncoderOptions& options);
 
  private:
@@ -109,8 +114,11 @@ class TransformerLayerImpl : public torch::nn::Module {
 class TransformerImpl : public torch::nn::Module {
  public:
   explicit TransformerImpl(const SpeechEncoderOptions& options);
-  /// `valid_frames` (B,) int64, or nothing when all are real.
-  at::Tensor forward(at::Tensor x, const std::optional<at::Tensor>& valid_frames);
+  /// @param valid_frames (B,) int64, or nothing when all are real
+  /// @param layer hidden state to stop at, in [0, num_hidden_layers]
+  /// @param states takes hidden states 0 ... layer where it is not null
+  at::Tensor forward(at::Tensor x, const std::optional<at::Tensor>& valid_frames, int64_t layer,
+                     std::vector<at::Tensor>* states = nullptr);
   void initialize(const SpeechEncoderOptions& options);
 
  private:

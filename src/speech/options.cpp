@@ -85,6 +85,29 @@ SpeechEncoderOptions wav2vec2_base() {
   return options;
 }
 
+SpeechEncoderOptions hubert_xlarge() {
+  auto options = hubert_large();
+  options.hidden_size = 1280;
+  options.num_hidden_layers = 48;
+  options.intermediate_size = 5120;
+  return options;
+}
+
+SpeechEncoderOptions wav2vec2_large() {
+  auto options = wav2vec2_base();
+  options.hidden_size = 1024;
+  options.num_hidden_layers = 24;
+  options.num_attention_heads = 16;
+  options.intermediate_size = 4096;
+  return options;
+}
+
+SpeechEncoderOptions wav2vec2_large_lv60() {
+  auto options = hubert_large();
+  options.model_type = "wav2vec2";
+  return options;
+}
+
 SpeechEncoderOptions hubert_tiny() {
   SpeechEncoderOptions options;
   options.conv_dim = {64, 96, 96, 128, 128, 160, 192};

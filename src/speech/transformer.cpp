@@ -115,7 +115,8 @@ TransformerImpl::TransformerImpl(const SpeechEncoderOptions& options)
   }
 }
 
-at::Tensor TransformerImpl::forward(at::Tensor x, const std::optional<at::Tensor>& valid_frames) {
+at::Tensor TransformerImpl::forward(at::Tensor x, const std::optional<at::Tensor>& valid_frames,
+                                    int64_t layer, std::vector<at::Tensor>* states) {
   std::optional<at::Tensor> key_mask;
   if (valid_frames) {
     const auto mask = at::arange(x.size(1), valid_frames->options()) < valid_frames->view({-1, 1});
@@ -127,13 +128,22 @@ at::Tensor TransformerImpl::forward(at::Tensor x, const std::optional<at::Tensor
     x = layer_norm_->forward(x);
   }
   x = at::dropout(x, dropout_, is_training());
-  for (const auto& layer : *layers_) {
+  for (int64_t i = 0; i < layer; ++i) {
+    if (states != nullptr) {
+      states->push_back(x);
+    }
     if (is_training() && layerdrop_ > 0.0 && at::rand({}).item<double>() < layerdrop_) {
       continue;
     }
-    x = layer->as<TransformerLayerImpl>()->forward(x, key_mask);
+    x = layers_->ptr<TransformerLayerImpl>(static_cast<size_t>(i))->forward(x, key_mask);
   }
-  return norm_first_ ? layer_norm_->forward(x) : x;
+  if (norm_first_ && layer == static_cast<int64_t>(layers_->size())) {
+    x = layer_norm_->forward(x);
+  }
+  if (states != nullptr) {
+    states->push_back(x);
+  }
+  return x;
 }
 
 void TransformerImpl::initialize(const SpeechEncoderOptions& options) {

@@ -106,6 +106,67 @@ def test_output_equals_transformers(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", CONFIGS)
+def test_blocks_equal_transformers(name: str, tmp_path: Path) -> None:
+    model, encoder = pair(name, tmp_path)
+    wave = normalize_wave(torch.randn(2, 9000))
+    assert_blocks_agree(model, encoder, wave)
+    with torch.enable_grad():  # the modules, as in training
+        assert_blocks_agree(model, encoder, wave)
+
+
+def assert_blocks_agree(model: Any, encoder: SpeechEncoder, wave: torch.Tensor) -> None:
+    """Convolutions, what the first layer gets, each layer and the last norm, each within float32 rounding."""
+    with torch.no_grad():
+        theirs = model(wave, output_hidden_states=True)
+        convolved = model.feature_extractor(wave).transpose(1, 2)
+    states = encoder.hidden_states(wave)
+    assert relative_difference(encoder.extract_features(wave), convolved) < 1e-5
+    assert len(states) == len(theirs.hidden_states)
+    # Versions of transformers differ in whether the last of these has passed the stable variant's final norm.
+    for ours, expected in zip(states[:-1], theirs.hidden_states[:-1], strict=True):
+        assert relative_difference(ours, expected) < 2e-5
+    assert relative_difference(states[-1], theirs.last_hidden_state) < 2e-5
+
+
+LARGE = {"hidden_size": 1024, "num_attention_heads": 16, "intermediate_size": 4096}
+STABLE = {"feat_extract_norm": "layer", "do_stable_layer_norm": True, "conv_bias": True}
+
+
+@pytest.mark.parametrize(
+    ("kind", "fields"),
+    [
+        ("hubert", {}),
+        ("hubert", {**LARGE, **STABLE}),
+        ("wav2vec2", {}),
+        ("wav2vec2", LARGE),
+        ("wav2vec2", {**LARGE, **STABLE}),
+    ],
+    ids=["hubert_base", "hubert_large", "wav2vec2_base", "wav2vec2_large", "wav2vec2_large_lv60"],
+)
+def test_published_widths_equal_transformers(kind: str, fields: dict[str, Any]) -> None:
+    names = {
+        "hubert": ("HubertConfig", "HubertModel"),
+        "wav2vec2": ("Wav2Vec2Config", "Wav2Vec2Model"),
+    }
+    config, network = (getattr(transformers, name) for name in names[kind])
+    torch.manual_seed(11)
+    model = network(config(**fields, num_hidden_layers=2, mask_time_prob=0.0)).eval()
+    encoder = SpeechEncoder(model_type=kind, num_hidden_layers=2, **fields).eval()
+    state = {key: value for key, value in model.state_dict().items() if key != "masked_spec_embed"}
+    encoder.load_state_dict(state)
+    lengths = [16000, 9000]
+    mask = (torch.arange(16000) < torch.tensor(lengths)[:, None]).long()
+    wave = normalize_wave(torch.randn(2, 16000), mask)
+    with torch.no_grad():
+        assert_blocks_agree(model, encoder, wave)
+        theirs = model(wave, attention_mask=mask).last_hidden_state
+        ours = encoder(wave, mask)
+    for row, length in enumerate(lengths):
+        frames = encoder.num_frames(length)
+        assert relative_difference(ours[row, :frames], theirs[row, :frames]) < 2e-5
+
+
+@pytest.mark.parametrize("name", CONFIGS)
 def test_padded_batch_equals_transformers(name: str, tmp_path: Path) -> None:
     model, encoder = pair(name, tmp_path)
     lengths = [9000, 6123, 4000]

@@ -28,8 +28,10 @@ inline constexpr double kMaxDurationS = 6.0 * 3600.0;  // longer files are refus
 int64_t resampled_size(int64_t num_samples, int64_t from_hz, int64_t to_hz);
 
 /// Reads WAV, FLAC, OGG, AIFF, MP3 and whatever else libsndfile knows, block by block; channels are
-/// averaged, then resampled with libsamplerate's best sinc converter. The result has
-/// resampled_size() samples.
+/// averaged, then resampled with libsamplerate's best sinc converter. A file with n samples a
+/// channel gives resampled_size(n, rate of the file, sample_rate_hz) samples, that is
+/// max(1, round(n * sample_rate_hz / rate)); n is what the decoder delivers: for WAV, FLAC, AIFF
+/// and OGG the length that was recorded, for MP3 without a gapless tag whole MPEG frames.
 /// @param sample_rate_hz rate of the result
 /// @throws std::runtime_error in one sentence naming the file and what to do: missing, a folder,
 /// empty, not audio,

@@ -10,6 +10,7 @@
 #include <cstdint>
 #include <functional>
 #include <optional>
+#include <string>
 
 #include "freetalk/speech/encoder.h"
 
@@ -26,25 +27,49 @@ at::Tensor normalize_wave(const at::Tensor& wave,
 /// Features of motion frames 0 ... num_frames-1, frame t at t / fps seconds. Differentiable in
 /// `features`.
 /// @param features (B, S', C) or (S', C) float
+/// @param valid_frames (B,) int64 real frames of each clip, whose last one is held; nothing when
+/// all are
 /// @return (B, T, C) or (T, C)
 at::Tensor resample_features(const at::Tensor& features, int64_t num_frames, double fps,
-                             FrameTiming timing = {});
+                             FrameTiming timing = {},
+                             const std::optional<at::Tensor>& valid_frames = std::nullopt);
 
 /// The same when the frame rate is not at hand: num_frames are spread evenly over the clip. A clip
 /// with S' encoder frames lasts between S' * 20 ms + 5 ms and S' * 20 ms + 25 ms; the middle is
 /// taken, so times are off by 10 ms at most.
 at::Tensor resample_features(const at::Tensor& features, int64_t num_frames);
 
-/// Memory bound of encode_speech.
+/// How encode_speech and SpeechStream work through speech of any length.
 struct EncodeOptions {
-  double window_s =
-      20.0;  // longest piece encoded at once, > 2 context_s; clips up to this length are one piece
-  double context_s = 2.0;  // speech on each side of a piece that its features may look at, > 0
+  // Longest piece encoded at once, context and lookahead included. Clips up to it are one piece.
+  double window_s = 20.0;
+  // Speech before the part of a piece that is used, at least 0.1.
+  double context_s = 2.0;
+  // Speech after it; in a stream, part of the delay. 0: as long as context_s.
+  double lookahead_s = 0.0;
+  // Cross-fade between pieces. 0: half of the shorter of context_s and lookahead_s.
+  double fade_s = 0.0;
+  // false: the wave, and the group norm of base encoders, are normalised over the whole clip.
+  // true: over what has been heard up to the end of a piece, as a stream has to, and short clips
+  // are cut into pieces like long ones: the result is that of SpeechStream.
+  bool streamable = false;
+  // Hidden state to take: 0 is what the first layer gets, i what layer i gives, -1 the last.
+  int64_t layer = -1;
+  // Where features take the rate of the motion: "output" (of the transformer) or "conv" (before
+  // the transformer, as ScanTalk and FaceTalk do).
+  std::string resample = "output";
+  std::string precision = "float32";  // or "bfloat16": products in half precision
 
   template <class V>
   void fields(V& v) {
     v("window_s", window_s);
     v("context_s", context_s);
+    v("lookahead_s", lookahead_s);
+    v("fade_s", fade_s);
+    v("streamable", streamable);
+    v("layer", layer);
+    v("resample", resample);
+    v("precision", precision);
   }
   void check() const;
 };
@@ -55,18 +80,32 @@ int64_t num_motion_frames(int64_t num_samples, double fps);
 /// Speech features for every motion frame of a clip of any length, without gradients and without
 /// dropout.
 ///
-/// The wave is normalised once. Longer clips are encoded in equal windows that overlap by at least
-/// 2 context_s and are cross-faded over context_s in the middle of each overlap: memory grows only
-/// with the result. With a group norm extractor (HuBERT base and tiny) the norm's statistics belong
-/// to each window, so that features of a long clip differ slightly from one pass over the whole.
+/// Longer clips are encoded in pieces that overlap and are cross-faded: memory grows only with the
+/// result. Normalisation sees the whole clip (EncodeOptions::streamable), so that the convolutions
+/// give what they give in one pass; the transformer sees a piece with its context.
 /// @param encoder left as it was (device, training mode)
 /// @param samples (S,) float in [-1, 1], 16 kHz, not normalised; moved to the encoder's device
-/// window by window
-/// @param fps of the motion, > 0
+/// piece by piece
+/// @param fps of the motion, > 0; nothing for the encoder's own frames
 /// @param progress called with the finished share in (0, 1]
-/// @return (T, C), T = num_motion_frames(S, fps), on the encoder's device
-at::Tensor encode_speech(SpeechEncoder& encoder, const at::Tensor& samples, double fps,
-                         const EncodeOptions& options = {},
-                         const std::function<void(double)>& progress = {});
+/// @param layer_weights (num_hidden_layers + 1,) weights of the hidden states, to sum them in
+/// place of options.layer
+/// @return (T, C) float32, T = num_motion_frames(S, fps), on the encoder's device
+at::Tensor encode_speech(SpeechEncoder& encoder, const at::Tensor& samples,
+                         std::optional<double> fps, const EncodeOptions& options = {},
+                         const std::function<void(double)>& progress = {},
+                         const std::optional<at::Tensor>& layer_weights = std::nullopt);
+
+/// Speech features of a batch at the motion's frames, differentiable, in one pass: for training.
+/// @param wave (B, S) float, normalised (normalize_wave)
+/// @param mask (B, S) nonzero where samples are real, as in SpeechEncoder::forward
+/// @param num_frames T of the result; frame t happens at t / fps
+/// @param options layer and resample count
+/// @param layer_weights as in encode_speech
+/// @return (B, T, C); frames after the end of a clip hold nothing of meaning
+at::Tensor motion_features(SpeechEncoder& encoder, const at::Tensor& wave,
+                           const std::optional<at::Tensor>& mask, int64_t num_frames, double fps,
+                           const EncodeOptions& options = {},
+                           const std::optional<at::Tensor>& layer_weights = std::nullopt);
 
 }  // namespace freetalk::speech

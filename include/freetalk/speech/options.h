@@ -87,8 +87,15 @@ struct SpeechEncoderOptions {
 SpeechEncoderOptions hubert_base();
 /// `facebook/hubert-large-ll60k`: 315 M parameters, layer norm extractor, stable layer norm.
 SpeechEncoderOptions hubert_large();
+/// `facebook/hubert-xlarge-ll60k`: 962 M parameters, as large but wider and deeper.
+SpeechEncoderOptions hubert_xlarge();
 /// `facebook/wav2vec2-base`: 94.4 M parameters.
 SpeechEncoderOptions wav2vec2_base();
+/// `facebook/wav2vec2-large`: 315 M parameters, group norm and norms after each part as in base.
+SpeechEncoderOptions wav2vec2_large();
+/// `facebook/wav2vec2-large-lv60`, `facebook/wav2vec2-large-xlsr-53`: 315 M parameters, layer norm
+/// extractor, stable layer norm.
+SpeechEncoderOptions wav2vec2_large_lv60();
 /// A small HuBERT (about 2.5 M parameters, C = 192) for two CPU cores; frame rule and receptive
 /// field as base.
 SpeechEncoderOptions hubert_tiny();

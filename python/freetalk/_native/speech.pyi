@@ -10,16 +10,22 @@ __all__: list[str] = [
     "SAMPLE_RATE_HZ",
     "SpeechEncoderImpl",
     "SpeechEncoderOptions",
+    "SpeechStream",
     "encode_speech",
     "hubert_base",
     "hubert_large",
     "hubert_tiny",
+    "hubert_xlarge",
     "load_speech_encoder",
+    "motion_features",
     "normalize_wave",
     "num_motion_frames",
     "resample_features",
     "save_speech_encoder",
+    "stream_options",
     "wav2vec2_base",
+    "wav2vec2_large",
+    "wav2vec2_large_lv60",
 ]
 
 class SpeechEncoderOptions:
@@ -69,11 +75,17 @@ class SpeechEncoderOptions:
 
 class EncodeOptions:
     """
-    Window and context (seconds) with which encode_speech bounds memory.
+    How encode_speech and SpeechStream work through speech of any length.
     """
 
     __hash__: typing.ClassVar[None] = None
     context_s: typing.Any
+    fade_s: typing.Any
+    layer: typing.Any
+    lookahead_s: typing.Any
+    precision: typing.Any
+    resample: typing.Any
+    streamable: typing.Any
     window_s: typing.Any
     @staticmethod
     def from_dict(arg0: dict) -> EncodeOptions:
@@ -107,12 +119,26 @@ class FrameTiming:
 class SpeechEncoderImpl:
     def __init__(self, options: SpeechEncoderOptions) -> None: ...
     def encode_features(
-        self, features: torch.Tensor, valid_frames: torch.Tensor | None = None
+        self,
+        features: torch.Tensor,
+        valid_frames: torch.Tensor | None = None,
+        layer: typing.SupportsInt | typing.SupportsIndex = -1,
     ) -> torch.Tensor: ...
+    def encode_states(
+        self, features: torch.Tensor, valid_frames: torch.Tensor | None = None
+    ) -> list[torch.Tensor]: ...
     def extract_features(
         self, wave: torch.Tensor, mask: torch.Tensor | None = None
     ) -> torch.Tensor: ...
-    def forward(self, wave: torch.Tensor, mask: torch.Tensor | None = None) -> torch.Tensor: ...
+    def forward(
+        self,
+        wave: torch.Tensor,
+        mask: torch.Tensor | None = None,
+        layer: typing.SupportsInt | typing.SupportsIndex = -1,
+    ) -> torch.Tensor: ...
+    def hidden_states(
+        self, wave: torch.Tensor, mask: torch.Tensor | None = None
+    ) -> list[torch.Tensor]: ...
     def named_buffers(self) -> list[tuple[str, torch.Tensor]]: ...
     def named_parameters(self) -> list[tuple[str, torch.Tensor]]: ...
     def num_frames(self, num_samples: typing.SupportsInt | typing.SupportsIndex) -> int: ...
@@ -128,14 +154,32 @@ class SpeechEncoderImpl:
     @property
     def training(self) -> bool: ...
 
+class SpeechStream:
+    """
+    Speech features while the speech is being recorded.
+    """
+    def __init__(
+        self,
+        encoder: SpeechEncoderImpl,
+        fps: typing.SupportsFloat | typing.SupportsIndex | None,
+        *,
+        options: EncodeOptions,
+        layer_weights: torch.Tensor | None = None,
+    ) -> None: ...
+    def finish(self) -> torch.Tensor: ...
+    def push(self, samples: torch.Tensor) -> torch.Tensor: ...
+    @property
+    def latency_s(self) -> float: ...
+
 def encode_speech(
     encoder: SpeechEncoderImpl,
     samples: torch.Tensor,
-    fps: typing.SupportsFloat | typing.SupportsIndex,
+    fps: typing.SupportsFloat | typing.SupportsIndex | None,
     *,
     options: EncodeOptions,
     progress: collections.abc.Callable[[typing.SupportsFloat | typing.SupportsIndex], None]
     | None = None,
+    layer_weights: torch.Tensor | None = None,
 ) -> torch.Tensor: ...
 def hubert_base() -> SpeechEncoderOptions:
     """
@@ -152,7 +196,22 @@ def hubert_tiny() -> SpeechEncoderOptions:
     Options of a small HuBERT for two CPU cores.
     """
 
+def hubert_xlarge() -> SpeechEncoderOptions:
+    """
+    Options of facebook/hubert-xlarge-ll60k.
+    """
+
 def load_speech_encoder(dir: os.PathLike | str | bytes) -> SpeechEncoderImpl: ...
+def motion_features(
+    encoder: SpeechEncoderImpl,
+    wave: torch.Tensor,
+    mask: torch.Tensor | None,
+    *,
+    num_frames: typing.SupportsInt | typing.SupportsIndex,
+    fps: typing.SupportsFloat | typing.SupportsIndex,
+    options: EncodeOptions,
+    layer_weights: torch.Tensor | None = None,
+) -> torch.Tensor: ...
 def normalize_wave(wave: torch.Tensor, mask: torch.Tensor | None = None) -> torch.Tensor: ...
 def num_motion_frames(
     num_samples: typing.SupportsInt | typing.SupportsIndex,
@@ -168,6 +227,7 @@ def resample_features(
     num_frames: typing.SupportsInt | typing.SupportsIndex,
     fps: typing.SupportsFloat | typing.SupportsIndex,
     timing: FrameTiming,
+    valid_frames: torch.Tensor | None = None,
 ) -> torch.Tensor: ...
 def save_speech_encoder(
     encoder: SpeechEncoderImpl,
@@ -176,9 +236,24 @@ def save_speech_encoder(
     half: bool = False,
     extra_json: str = "{}",
 ) -> None: ...
+def stream_options() -> EncodeOptions:
+    """
+    EncodeOptions for a stream.
+    """
+
 def wav2vec2_base() -> SpeechEncoderOptions:
     """
     Options of facebook/wav2vec2-base.
+    """
+
+def wav2vec2_large() -> SpeechEncoderOptions:
+    """
+    Options of facebook/wav2vec2-large.
+    """
+
+def wav2vec2_large_lv60() -> SpeechEncoderOptions:
+    """
+    Options of facebook/wav2vec2-large-lv60 and facebook/wav2vec2-large-xlsr-53.
     """
 
 SAMPLE_RATE_HZ: int = 16000

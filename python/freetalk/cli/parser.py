@@ -157,7 +157,7 @@ def _add_animate(commands: Any) -> None:
     parser.add_argument(
         "--audio", required=True, metavar="FILE", help="speech: WAV, FLAC, OGG, MP3"
     )
-    mesh_help = "face: OBJ, PLY, OFF, STL; without it the built-in mean face"
+    mesh_help = "face: OBJ, PLY, OFF, STL, glTF; without it the built-in mean face"
     parser.add_argument("--mesh", metavar="FILE", help=mesh_help)
     emotion_help = "a name such as neutral, happy or angry, a mixture, or keyframes (see above)"
     parser.add_argument("--emotion", default="neutral", help=emotion_help)
@@ -276,7 +276,7 @@ def _add_data(commands: Any) -> None:
 def _add_mesh(commands: Any) -> None:
     _, nested = _group(commands, "mesh", "look into mesh files")
     parser = _command(nested, "check", "mesh:check", "report counts, size, unit and pose of a mesh")
-    parser.add_argument("file", metavar="FILE", help="OBJ, PLY, OFF or STL")
+    parser.add_argument("file", metavar="FILE", help="OBJ, PLY, OFF, STL or glTF")
     _add_pose(parser)
     _add_pretrained(parser)
     _add_mesh_landmarks(nested)
@@ -294,7 +294,7 @@ def _add_mesh_landmarks(nested: Any) -> None:
             "correct: --start FILE --set 48=1532."
         ),
     )
-    parser.add_argument("file", metavar="FILE", help="OBJ, PLY, OFF or STL")
+    parser.add_argument("file", metavar="FILE", help="OBJ, PLY, OFF, STL or glTF")
     parser.add_argument("--out", default="landmarks68.json", metavar="JSON", help="where to write")
     parser.add_argument("--picture", metavar="PNG", help="also draw them with their numbers")
     parser.add_argument(
@@ -315,8 +315,16 @@ def _add_speech(commands: Any) -> None:
         "--audio", required=True, metavar="FILE", help="speech: WAV, FLAC, OGG, MP3"
     )
     parser.add_argument("--fps", type=positive, default=30.0, help="feature frames per second")
+    encoder_help = "folder of another encoder: config.json and model.safetensors"
+    parser.add_argument("--encoder", metavar="DIR", help=encoder_help)
     _add_pretrained(parser)
     parser.add_argument("--out", required=True, metavar="NPY", help="where to write (T, C) float32")
+    parser = _command(
+        nested, "convert", "speech:convert", "turn a pytorch_model.bin into model.safetensors"
+    )
+    parser.add_argument("source", metavar="SOURCE", help="pytorch_model.bin, or its folder")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder to write")
+    parser.add_argument("--half", action="store_true", help="store float16")
 
 
 def _add_view(commands: Any) -> None:
@@ -333,3 +341,7 @@ def _add_models(commands: Any) -> None:
     parser, nested = _group(commands, "models", "the weights that are installed", required=False)
     parser.set_defaults(handler="models:list_models", debug=False)
     _command(nested, "list", "models:list_models", "list the weights that are installed")
+    help_text = "fetch a published speech encoder, such as hubert-base-ls960"
+    parser = _command(nested, "download", "models:download", help_text)
+    parser.add_argument("name", metavar="NAME", help="name, or OWNER/NAME on huggingface.co")
+    parser.add_argument("--out", metavar="DIR", help="folder to write; by default in the cache")

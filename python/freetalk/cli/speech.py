@@ -19,14 +19,16 @@ def encode(arguments: argparse.Namespace) -> None:
         raise ValueError(f"'{arguments.out}' does not say what to write: end it in .npy")
     check_writable(out)
     audio_file = check_readable(arguments.audio, "a recording of speech")
-    weights = find_weights(arguments.pretrained)
+    folder = Path(arguments.encoder) if arguments.encoder else None
+    if folder is None:
+        folder = find_weights(arguments.pretrained) / "speech"
     import torch
 
     import freetalk
     from freetalk.speech import SpeechEncoder, encode_speech
 
     audio = freetalk.load_audio(audio_file)
-    encoder = SpeechEncoder.from_pretrained(weights / "speech")
+    encoder = SpeechEncoder.from_pretrained(folder)
     samples = torch.from_numpy(np.array(audio.samples, dtype=np.float32))
     features = encode_speech(encoder, samples, arguments.fps).cpu().numpy()
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -38,3 +40,19 @@ def encode(arguments: argparse.Namespace) -> None:
     finally:
         partial.unlink(missing_ok=True)
     print(f"{out}: {features.shape[0]} frames of {features.shape[1]} features")
+
+
+def convert(arguments: argparse.Namespace) -> None:
+    """Turns a pytorch_model.bin into safetensors."""
+    source = Path(arguments.source)
+    if not source.exists():
+        raise ValueError(f"{source}: there is no such file or folder")
+    out = Path(arguments.out)
+    check_writable(out / "config.json")
+    from freetalk.speech import convert_checkpoint
+
+    encoder = convert_checkpoint(source, out, half=arguments.half)
+    count = sum(parameter.numel() for parameter in encoder.parameters())
+    megabytes = (out / "model.safetensors").stat().st_size / 1e6
+    kind = encoder.options.model_type
+    print(f"{out}: {kind}, {count / 1e6:.1f} M parameters, {megabytes:.0f} MB")

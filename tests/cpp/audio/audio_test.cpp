@@ -171,6 +171,52 @@ TEST_F(AudioFile, RefusesAbsurdSampleRates) {
   }
 }
 
+/// A WAV of silence whose sound is a hole in the file.
+void write_silence(const std::filesystem::path& path, uint32_t rate_hz, uint32_t count) {
+  std::string header = "RIFF....WAVEfmt ";
+  const auto add = [&](uint32_t value, int bytes) {
+    for (int i = 0; i < bytes; ++i) {
+      header += static_cast<char>(value >> (8 * i));
+    }
+  };
+  add(16, 4);
+  add(1, 2);
+  add(1, 2);
+  add(rate_hz, 4);
+  add(rate_hz * 2, 4);
+  add(2, 2);
+  add(16, 2);
+  header += "data";
+  add(count * 2, 4);
+  const uint32_t riff = count * 2 + 36;
+  std::memcpy(header.data() + 4, &riff, sizeof riff);
+  core::write_file_atomic(path, header);
+  std::filesystem::resize_file(path, header.size() + size_t{count} * 2);
+}
+
+TEST_F(AudioFile, ThreeHoursLoadAndSevenAreRefused) {
+  write_silence(path_, 1000, 3 * 3600 * 1000);
+  EXPECT_EQ(load_audio(path_, 1000).duration_s(), 3 * 3600.0);
+  write_silence(path_, 1000, 7 * 3600 * 1000);
+  EXPECT_TRUE(mentions(load_error(), "longer than 6 hours"));
+}
+
+TEST_F(AudioFile, RefusesHeadersThatLie) {
+  save_wav(path_, sine(300.0, 16000, 16000));
+  const auto good = core::read_text(path_);
+  const auto with = [&](size_t place, uint64_t value, size_t bytes) {
+    auto changed = good;
+    std::memcpy(changed.data() + place, &value, bytes);
+    return changed;
+  };
+  write(with(22, 0, 2));  // no channels
+  EXPECT_FALSE(load_error().empty());
+  write(with(34, 77, 2));  // bits a sample
+  EXPECT_FALSE(load_error().empty());
+  write(with(good.find("data") + 4, 64000, 4));  // twice the sound there is
+  EXPECT_TRUE(mentions(load_error(), "truncated"));
+}
+
 TEST_F(AudioFile, SaveRefusesNothingAndLeavesNothingBehind) {
   EXPECT_THROW(save_wav(path_, Audio{}), std::invalid_argument);
   EXPECT_THROW(save_wav(path_, Audio{{std::nanf("")}, 16000}), std::invalid_argument);

@@ -3,6 +3,10 @@
 #include <gtest/gtest.h>
 #include <torch/torch.h>
 
+#include <algorithm>
+
+#include "freetalk/speech/stream.h"
+
 namespace freetalk::speech {
 namespace {
 
@@ -118,6 +122,123 @@ TEST(EncodeSpeech, WindowsEqualTheWholeWhenContextSuffices) {
     const auto found = encode_speech(encoder, wave, 30.0, windows);
     EXPECT_LT(relative_error(found, expected), 1e-5) << samples;  // float32 rounding
   }
+}
+
+TEST(EncodeSpeech, GroupNormOfPiecesIsThatOfTheWhole) {
+  auto options = local_options();
+  options.feat_extract_norm = "group";
+  SpeechEncoder encoder(options);
+  encoder->eval();
+  EncodeOptions whole;
+  whole.window_s = 60.0;
+  EncodeOptions pieces;
+  pieces.window_s = 3.0;
+  pieces.context_s = 0.8;
+  // loud at first, then faint: statistics of a piece alone would differ
+  const auto wave = at::randn({160000}) * at::linspace(0.5, 0.01, 160000) + 0.02;
+  const auto expected = encode_speech(encoder, wave, 30.0, whole);
+  EXPECT_LT(relative_error(encode_speech(encoder, wave, 30.0, pieces), expected), 1e-4);
+  const auto in_one_pass = resample_features(encoder->forward(normalize_wave(wave).unsqueeze(0)),
+                                             expected.size(0), 30.0);
+  EXPECT_LT(relative_error(expected, in_one_pass.squeeze(0)), 1e-4);
+}
+
+TEST(EncodeSpeech, ConvFeaturesTakeTheMotionsRate) {
+  SpeechEncoder encoder(local_options());
+  encoder->eval();
+  const auto wave = at::randn({160000}) * 0.1;
+  EncodeOptions options;
+  options.resample = "conv";
+  options.window_s = 60.0;
+  const auto found = encode_speech(encoder, wave, 30.0, options);
+  const torch::NoGradGuard no_grad;
+  const auto conv = encoder->extract_features(normalize_wave(wave).unsqueeze(0));
+  const auto expected = encoder->encode_features(resample_features(conv, 300, 30.0)).squeeze(0);
+  EXPECT_LT(relative_error(found, expected), 1e-5);  // float32 rounding
+  options.window_s = 3.0;
+  options.context_s = 0.8;
+  EXPECT_LT(relative_error(encode_speech(encoder, wave, 30.0, options), expected), 1e-4);
+}
+
+TEST(EncodeSpeech, LayerWeightsSumHiddenStates) {
+  auto options = local_options();
+  options.num_hidden_layers = 2;
+  options.hidden_dropout = options.attention_dropout = options.activation_dropout = 0.0;
+  SpeechEncoder encoder(options);
+  encoder->eval();
+  const auto wave = at::randn({16000}) * 0.1;
+  const auto weights = at::tensor({0.5F, 0.0F, 2.0F});
+  EncodeOptions first, last;
+  first.layer = 0;
+  const auto expected = 0.5 * encode_speech(encoder, wave, 30.0, first) +
+                        2.0 * encode_speech(encoder, wave, 30.0, last);
+  const auto found = encode_speech(encoder, wave, 30.0, {}, {}, weights);
+  EXPECT_LT(relative_error(found, expected), 1e-5);
+  EXPECT_THROW(encode_speech(encoder, wave, 30.0, {}, {}, at::ones({2})), std::invalid_argument);
+}
+
+TEST(MotionFeatures, PaddedClipEqualsClipAlone) {
+  auto options = local_options();
+  options.num_hidden_layers = 1;
+  options.hidden_dropout = options.attention_dropout = options.activation_dropout = 0.0;
+  SpeechEncoder encoder(options);
+  const auto wave = at::randn({2, 16000});
+  auto mask = at::ones({2, 16000}, at::kBool);
+  mask[1].narrow(0, 10000, 6000).fill_(false);
+  for (const char* place : {"output", "conv"}) {
+    EncodeOptions choice;
+    choice.resample = place;
+    const auto together = motion_features(encoder, wave, mask, 30, 30.0, choice)[1];
+    const int64_t frames = num_motion_frames(10000, 30.0);
+    const auto alone = motion_features(encoder, wave.slice(0, 1, 2).slice(1, 0, 10000),
+                                       std::nullopt, frames, 30.0, choice)[0];
+    EXPECT_LT(relative_error(together.narrow(0, 0, frames), alone), 1e-5) << place;
+    EXPECT_TRUE(together.requires_grad());
+  }
+}
+
+TEST(SpeechStream, GivesTheFramesOfEncodeSpeech) {
+  auto options = local_options();
+  options.feat_extract_norm = "group";
+  options.num_hidden_layers = 1;
+  SpeechEncoder encoder(options);
+  EncodeOptions pieces = stream_options();
+  pieces.window_s = 1.8;
+  pieces.context_s = 1.0;
+  const std::optional<double> rates[] = {std::nullopt, 30.0};
+  for (const int64_t count : {300, 12800, 12801, 40000}) {
+    const auto wave = at::randn({count}) * at::linspace(0.1, 0.3, count);
+    for (const auto& fps : rates) {
+      const auto expected = encode_speech(encoder, wave, fps, pieces);
+      SpeechStream stream(encoder, fps, pieces);
+      for (const int64_t step : {777, 20000}) {  // finish() starts afresh
+        std::vector<at::Tensor> parts;
+        for (int64_t first = 0; first < count; first += step) {
+          parts.push_back(stream.push(wave.slice(0, first, std::min(count, first + step))));
+        }
+        parts.push_back(stream.finish());
+        const auto found = at::cat(parts);
+        ASSERT_EQ(found.sizes(), expected.sizes()) << count;
+        EXPECT_LT(relative_error(found, expected), 1e-4) << count;
+      }
+    }
+  }
+}
+
+TEST(SpeechStream, FramesComeWithinTheLatency) {
+  SpeechEncoder encoder(local_options());
+  SpeechStream stream(encoder, 30.0);
+  EXPECT_LT(stream.latency_s(), 0.9);
+  const auto wave = at::randn({48000}) * 0.1;
+  int64_t ready = 0;
+  double worst = 0.0;
+  for (int64_t first = 0; first < wave.size(0); first += 800) {
+    ready += stream.push(wave.slice(0, first, first + 800)).size(0);
+    const double heard_s = static_cast<double>(first + 800) / 16000.0;
+    worst = std::max(worst, heard_s - static_cast<double>(ready) / 30.0);  // the next frame waits
+  }
+  EXPECT_GT(ready, 0);
+  EXPECT_LE(worst, stream.latency_s() + 0.051);  // pushes are 50 ms apart
 }
 
 TEST(EncodeSpeech, ReportsProgressAndLeavesTheEncoderAsItWas) {
