@@ -42,6 +42,15 @@ geometry::SurfaceOperators grid_operators(int64_t k) {
   return geometry::surface_operators(vertices, faces, options);
 }
 
+DiffusionNetOptions small_options(int64_t blocks) {
+  DiffusionNetOptions options;
+  options.in_channels = 3;
+  options.out_channels = 2;
+  options.width = 8;
+  options.num_blocks = blocks;
+  return options;
+}
+
 TEST(SparseProduct, EqualsDenseWithGradient) {
   torch::manual_seed(0);
   const at::Tensor dense = random_sparse(7, 5);
@@ -114,7 +123,7 @@ TEST(DiffusionNet, ConstantsDiffuseToThemselves) {
 TEST(DiffusionNet, FramesAreIndependent) {
   torch::manual_seed(2);
   const auto operators = grid_operators(8);
-  DiffusionNet net(DiffusionNetOptions{3, 2, 8, 2, 0.0});
+  DiffusionNet net(small_options(2));
   net->to(torch::kDouble);
   const at::Tensor x = torch::randn({4, 36, 3}, torch::kDouble);
   const at::Tensor all = net(x, operators);
@@ -126,7 +135,7 @@ TEST(DiffusionNet, FramesAreIndependent) {
 
 TEST(DiffusionNet, WrongShapeThrows) {
   const auto operators = grid_operators(8);
-  DiffusionNet net(DiffusionNetOptions{3, 2, 8, 1, 0.0});
+  DiffusionNet net(small_options(1));
   EXPECT_THROW(net(torch::zeros({1, 35, 3}), operators), std::invalid_argument);
 }
 

@@ -8,6 +8,7 @@
 #include <random>
 
 #include "freetalk/core/random.h"
+#include "freetalk/stm/frame_decoder.h"
 
 namespace freetalk::stm {
 namespace {
@@ -110,15 +111,41 @@ TEST(Stm, ChunksEqualTheWhole) {
   const at::Tensor whole = model(mesh.positions, mesh.operators, landmarks);
   at::Tensor chunked = torch::full_like(whole, NAN);
   int64_t calls = 0;
+  int64_t next = 0;
   decode_chunked(
       model, model->encode(mesh.positions, mesh.operators), mesh.operators, landmarks,
       [&](int64_t first, const at::Tensor& part) {
+        EXPECT_EQ(first, next);
+        next += part.size(0);
         chunked.narrow(0, first, part.size(0)).copy_(part);
         ++calls;
       },
-      72 * (12 * 16 + 4 * 16) * 4 * 3);
-  EXPECT_EQ(calls, 4);
+      DecodeOptions{"float32", 1});
+  EXPECT_EQ(next, 11);
+  EXPECT_EQ(calls, 11);  // one frame in work takes more than a byte
   EXPECT_LT((whole - chunked).abs().max().item<float>(), 1e-5F * whole.abs().max().item<float>());
+}
+
+TEST(FrameDecoder, ServesSeveralSequencesOfOneMesh) {
+  Stm model = model_with_motion();
+  const Prepared mesh = prepare(Sheet(identity_order()), model->options());
+  const torch::NoGradGuard no_grad;
+  const auto features = model->encode(mesh.positions, mesh.operators);
+  FrameDecoder decoder(model.ptr(), features, mesh.operators);
+  for (const int64_t frames : {1, 5}) {
+    const at::Tensor expected = model->decode(features, mesh.operators, random_landmarks(frames));
+    const at::Tensor found = decoder.decode(random_landmarks(frames));
+    EXPECT_LT((found - expected).abs().max().item<float>(),
+              1e-5F * expected.abs().max().item<float>());
+  }
+}
+
+TEST(FrameDecoder, UnknownPrecisionIsRefused) {
+  Stm model = model_with_motion();
+  const Prepared mesh = prepare(Sheet(identity_order()), model->options());
+  const auto features = model->encode(mesh.positions, mesh.operators);
+  EXPECT_THROW(FrameDecoder(model.ptr(), features, mesh.operators, DecodeOptions{"half", 1}),
+               std::invalid_argument);
 }
 
 TEST(Stm, GradientsReachMeshAndLandmarkPaths) {
