@@ -1,11 +1,16 @@
 #include <pybind11/eigen.h>
+#include <pybind11/functional.h>
 #include <pybind11/stl/filesystem.h>
 #include <torch/extension.h>
 
 #include "bind_options.h"
 #include "freetalk/geometry/alignment.h"
+#include "freetalk/geometry/eigenbasis.h"
 #include "freetalk/geometry/mesh.h"
+#include "freetalk/geometry/mesh_report.h"
 #include "freetalk/geometry/operators.h"
+#include "freetalk/geometry/poisson.h"
+#include "freetalk/geometry/robust_laplacian.h"
 #include "freetalk/geometry/surface.h"
 
 namespace {
@@ -46,9 +51,40 @@ void bind_mesh(py::module_& m) {
                ", triangles=" + std::to_string(mesh.num_faces()) + ")";
       });
   m.def("load_mesh", &geometry::load_mesh, py::arg("path"), NoGil(),
-        "Reads an OBJ, PLY, OFF or STL file.");
+        "Reads an OBJ, PLY, OFF, STL or glTF file.");
   m.def("save_mesh", &geometry::save_mesh, py::arg("path"), py::arg("mesh"), NoGil(),
         "Writes an OBJ or PLY file atomically.");
+}
+
+void bind_mesh_report(py::module_& m) {
+  using geometry::MeshReport;
+  py::class_<MeshReport>(m, "MeshReport", "What a mesh is like, defect by defect.")
+      .def_readonly("vertices", &MeshReport::vertices)
+      .def_readonly("polygons", &MeshReport::polygons)
+      .def_readonly("triangles", &MeshReport::triangles, "After polygons are cut.")
+      .def_readonly("larger_polygons", &MeshReport::larger_polygons, "Of more than three corners.")
+      .def_readonly("lines_and_points", &MeshReport::lines_and_points, "Not kept: no faces.")
+      .def_readonly("parts", &MeshReport::parts, "Connected by common vertices.")
+      .def_readonly("edges", &MeshReport::edges)
+      .def_readonly("boundary_edges", &MeshReport::boundary_edges, "Of one polygon.")
+      .def_readonly("boundaries", &MeshReport::boundaries, "Rims of boundary edges.")
+      .def_readonly("nonmanifold_edges", &MeshReport::nonmanifold_edges, "Of three or more.")
+      .def_readonly("nonmanifold_vertices", &MeshReport::nonmanifold_vertices,
+                    "Where surfaces touch in a point only.")
+      .def_readonly("inconsistent_edges", &MeshReport::inconsistent_edges,
+                    "Whose two polygons turn opposite ways.")
+      .def_readonly("unreferenced_vertices", &MeshReport::unreferenced_vertices, "In no face.")
+      .def_readonly("coincident_vertices", &MeshReport::coincident_vertices,
+                    "At the place of an earlier vertex.")
+      .def_readonly("repeated_corner_polygons", &MeshReport::repeated_corner_polygons,
+                    "That name a vertex twice.")
+      .def_readonly("zero_area_triangles", &MeshReport::zero_area_triangles)
+      .def_readonly("duplicate_polygons", &MeshReport::duplicate_polygons,
+                    "With the vertices of an earlier one.")
+      .def_readonly("extent", &MeshReport::extent, "(3,) of the referenced vertices, file's unit.")
+      .def("findings", &MeshReport::findings, "One line a finding, worst first.");
+  m.def("mesh_report", &geometry::mesh_report, py::arg("mesh"), NoGil(),
+        "What a mesh is like, defect by defect.");
 }
 
 void bind_surface(py::module_& m) {
@@ -76,6 +112,50 @@ void bind_surface(py::module_& m) {
       "(V, V) cotangent Laplacian as a scipy sparse matrix, positive semi-definite.");
 }
 
+void bind_face_operators(py::module_& m) {
+  using geometry::FaceOperators;
+  py::class_<FaceOperators>(m, "FaceOperators", "Gradients and Poisson solver on triangles.")
+      .def_readonly("faces", &FaceOperators::faces, "(F, 3) int64.")
+      .def_readonly("areas", &FaceOperators::areas, "(F,) length^2.")
+      .def_readonly("gradients", &FaceOperators::gradients,
+                    "(2F, V) sparse CSR: X, then Y components in the faces' tangent frames.")
+      .def_readonly("gradients_transposed", &FaceOperators::gradients_transposed,
+                    "(V, 2F) sparse CSR.")
+      .def_readonly("frames", &FaceOperators::frames, "(F, 3, 3) rows X, Y, normal.")
+      .def_readonly("components", &FaceOperators::components,
+                    "(V,) int64, connected part of each vertex.");
+  m.def("face_operators", &geometry::face_operators, py::arg("vertices"), py::arg("faces"),
+        py::kw_only(), py::arg("vertex_of") = Eigen::VectorXi(), NoGil(),
+        "Gradients on the faces of a mesh and its Poisson solver, float64.");
+  m.def("unique_edges", &geometry::unique_edges, py::arg("faces"), NoGil(),
+        "(E, 2) int64 unique undirected edges (i < j) of triangles.");
+}
+
+void bind_robust_laplacian(py::module_& m) {
+  using Pair = std::pair<geometry::SparseMatrix, Eigen::VectorXd>;
+  m.def(
+      "robust_laplacian",
+      [](const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces, double mollify_factor) {
+        auto result = geometry::robust_laplacian(vertices, faces, mollify_factor);
+        return Pair(std::move(result.laplacian), std::move(result.mass));
+      },
+      py::arg("vertices"), py::arg("faces"), py::kw_only(),
+      py::arg("mollify_factor") = geometry::kMollifyFactor,
+      "(V, V) tufted Laplacian of triangles as a scipy sparse matrix, and (V,) mass.");
+  m.def(
+      "point_cloud_laplacian",
+      [](const Eigen::MatrixXd& points, double mollify_factor, int64_t num_neighbors,
+         bool published_fit) {
+        auto result = geometry::point_cloud_laplacian(
+            points, mollify_factor, num_neighbors,
+            published_fit ? geometry::CloudFit::kPublished : geometry::CloudFit::kExact);
+        return Pair(std::move(result.laplacian), std::move(result.mass));
+      },
+      py::arg("points"), py::kw_only(), py::arg("mollify_factor") = geometry::kMollifyFactor,
+      py::arg("num_neighbors") = 30, py::arg("published_fit") = true,
+      "(V, V) tufted Laplacian of points as a scipy sparse matrix, and (V,) mass.");
+}
+
 void bind_operators(py::module_& m) {
   freetalk::bindings::bind_options<geometry::OperatorOptions>(
       m, "OperatorOptions", "What is computed of a surface, and how exactly.");
@@ -94,17 +174,12 @@ void bind_operators(py::module_& m) {
       .def_readonly("residuals", &SurfaceOperators::residuals, "(K,) relative eigen-residuals.")
       .def("scaled", &SurfaceOperators::scaled, py::arg("factor"),
            "Operators of the same surface scaled uniformly.")
-      .def(
-          "turned",
-          [](const SurfaceOperators& self, const at::Tensor& rotation) {
-            const auto turn = rotation.to(self.normals.options());
-            SurfaceOperators result = self;  // all else is intrinsic
-            result.normals = self.normals.matmul(turn.t());
-            result.frames = self.frames.matmul(turn.t());
-            return result;
-          },
-          py::arg("rotation"), NoGil(),
-          "Operators of the same surface turned by a rotation (3, 3).")
+      .def("turned", &SurfaceOperators::turned, py::arg("rotation"), NoGil(),
+           "Operators of the same surface turned by a rotation (3, 3).")
+      .def("faces", &SurfaceOperators::faces, NoGil(),
+           "What lives on the faces: gradients and the Poisson solver.")
+      .def_readonly("offsets", &SurfaceOperators::offsets,
+                    "First vertex of each mesh of a batch and the end; empty for one mesh.")
       .def(
           "to",
           [](const SurfaceOperators& self, const py::object& dtype, const py::object& device) {
@@ -117,15 +192,42 @@ void bind_operators(py::module_& m) {
         return "SurfaceOperators(vertices=" + std::to_string(self.num_vertices()) +
                ", k_eig=" + std::to_string(self.k_eig()) + ")";
       });
+  m.def("concatenate", py::overload_cast<const std::vector<geometry::SurfaceOperators>&>(
+                           &geometry::concatenate),
+        py::arg("parts"), NoGil(), "Operators of several meshes as one block-diagonal batch.");
   m.def("surface_operators", &geometry::surface_operators, py::arg("vertices"), py::arg("faces"),
         py::kw_only(), py::arg("options") = geometry::OperatorOptions{}, py::arg("name") = "mesh",
-        NoGil(), "Operators of a surface, computed.");
+        py::arg("progress") = std::function<void(double)>(), NoGil(),
+        "Operators of a surface, computed.");
   m.def("cached_surface_operators", &geometry::cached_surface_operators, py::arg("vertices"),
         py::arg("faces"), py::kw_only(), py::arg("options") = geometry::OperatorOptions{},
         py::arg("cache_dir") = std::filesystem::path(), py::arg("name") = "mesh",
-        py::arg("max_bytes") = int64_t{4} << 30, NoGil(),
+        py::arg("max_bytes") = int64_t{4} << 30,
+        py::arg("progress") = std::function<void(double)>(), NoGil(),
         "Operators of a surface, from the disk cache where they are there.");
   m.def("default_cache_dir", &geometry::default_cache_dir, "The folder of the disk cache.");
+}
+
+void bind_eigenbasis(py::module_& m) {
+  freetalk::bindings::bind_options<geometry::EigenbasisOptions>(
+      m, "EigenbasisOptions", "How many eigenpairs, how exactly, by which solver.");
+  using geometry::Eigenbasis;
+  py::class_<Eigenbasis>(m, "Eigenbasis", "The smallest eigenpairs of a Laplacian.")
+      .def_readonly("evals", &Eigenbasis::evals, "(K,) ascending, 1 / length^2.")
+      .def_readonly("evecs", &Eigenbasis::evecs, "(V, K) mass-orthonormal, 1 / length.")
+      .def_readonly("residuals", &Eigenbasis::residuals, "(K,) relative eigen-residuals.")
+      .def("__repr__", [](const Eigenbasis& self) {
+        return "Eigenbasis(vertices=" + std::to_string(self.evecs.rows()) +
+               ", k=" + std::to_string(self.evals.size()) + ")";
+      });
+  m.def("eigenbasis",
+        py::overload_cast<const geometry::SparseMatrix&, const Eigen::VectorXd&,
+                          const geometry::EigenbasisOptions&, const std::string&,
+                          const std::function<void(double)>&>(&geometry::eigenbasis),
+        py::arg("laplacian"), py::arg("mass"), py::kw_only(),
+        py::arg("options") = geometry::EigenbasisOptions{}, py::arg("name") = "mesh",
+        py::arg("progress") = std::function<void(double)>(), NoGil(),
+        "The smallest eigenpairs of L phi = lambda M phi.");
 }
 
 void bind_alignment(py::module_& m) {
@@ -179,7 +281,11 @@ void bind_alignment(py::module_& m) {
 
 void bind_geometry(py::module_& m) {
   bind_mesh(m);
+  bind_mesh_report(m);
   bind_surface(m);
+  bind_robust_laplacian(m);
+  bind_face_operators(m);
   bind_operators(m);
+  bind_eigenbasis(m);
   bind_alignment(m);
 }

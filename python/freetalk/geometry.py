@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
 Alignment = _native.Alignment
 AlignOptions = _native.AlignOptions
+FaceOperators = _native.FaceOperators
 Mesh = _native.Mesh
+MeshReport = _native.MeshReport
 OperatorOptions = _native.OperatorOptions
 Similarity = _native.Similarity
 SurfaceOperators = _native.SurfaceOperators
@@ -24,25 +26,35 @@ SurfaceOperators = _native.SurfaceOperators
 __all__ = [
     "AlignOptions",
     "Alignment",
+    "FaceOperators",
     "Mesh",
+    "MeshReport",
     "OperatorOptions",
     "Similarity",
     "SurfaceOperators",
     "align_to_template",
+    "concatenate",
     "connected_components",
     "cotan_laplacian",
     "default_cache_dir",
     "face_areas",
     "load_mesh",
     "lumped_mass",
+    "mesh_report",
+    "point_cloud_laplacian",
+    "robust_laplacian",
     "sample_template",
     "save_mesh",
     "surface_operators",
+    "unique_edges",
     "vertex_normals",
 ]
 
+concatenate = _native.concatenate
 default_cache_dir = _native.default_cache_dir
+unique_edges = _native.unique_edges
 cotan_laplacian = _native.cotan_laplacian
+mesh_report = _native.mesh_report
 
 
 def _array(values: ArrayLike | torch.Tensor, dtype: type) -> NDArray:
@@ -55,7 +67,10 @@ def _array(values: ArrayLike | torch.Tensor, dtype: type) -> NDArray:
 
 
 def load_mesh(path: str | os.PathLike[str]) -> Mesh:
-    """Reads an OBJ, PLY, OFF or STL file.
+    """Reads an OBJ, PLY, OFF, STL, .gltf or .glb file.
+
+    No face is dropped; ``mesh_report`` tells what is odd about a mesh. Of glTF, the triangles of all
+    meshes its scene shows, moved by their nodes, at rest.
 
     Args:
         path: the file.
@@ -91,6 +106,66 @@ def lumped_mass(vertices: ArrayLike | torch.Tensor, faces: ArrayLike | torch.Ten
     return _native.lumped_mass(_array(vertices, np.float64), _array(faces, np.int32))
 
 
+def robust_laplacian(
+    vertices: ArrayLike | torch.Tensor,
+    faces: ArrayLike | torch.Tensor,
+    *,
+    mollify_factor: float = 1e-5,
+) -> tuple[Any, NDArray]:
+    """The tufted Laplacian of triangles (Sharp & Crane, "A Laplacian for Nonmanifold Triangle Meshes").
+
+    For any triangles: non-manifold, torn, a soup, inconsistently oriented, without area. Equal to
+    the package ``robust_laplacian``.
+
+    Args:
+        vertices: (V, 3) any unit.
+        faces: (F, 3) integer triangles.
+        mollify_factor: least slack of the triangle inequalities in mean edge lengths; 0 for none.
+
+    Returns:
+        The Laplacian, (V, V) scipy sparse, positive semi-definite, no positive entry off the
+        diagonal; and the lumped mass (V,), length^2.
+
+    Raises:
+        ValueError: NaN, indices out of range, no faces, all edges of length zero.
+    """
+    return _native.robust_laplacian(
+        _array(vertices, np.float64), _array(faces, np.int32), mollify_factor=mollify_factor
+    )
+
+
+def point_cloud_laplacian(
+    points: ArrayLike | torch.Tensor,
+    *,
+    mollify_factor: float = 1e-5,
+    num_neighbors: int = 30,
+    published_fit: bool = True,
+) -> tuple[Any, NDArray]:
+    """The tufted Laplacian of a point cloud (Sharp & Crane, Section 5.7).
+
+    Args:
+        points: (V, 3) any unit.
+        mollify_factor: least slack of the triangle inequalities in mean edge lengths; 0 for none.
+        num_neighbors: neighbours a point is triangulated with, 3 .. V - 1.
+        published_fit: fit neighbourhoods as the package ``robust_laplacian`` 1.1 does, for equal
+            results. Its planes lean towards the origin and it misses some boundary points; False
+            does neither, and the result follows a translation and a rotation of the points.
+            ``surface_operators`` uses False.
+
+    Returns:
+        The Laplacian, (V, V) scipy sparse, and the lumped mass (V,), length^2.
+
+    Raises:
+        ValueError: NaN, ``num_neighbors`` out of range.
+    """
+    return _native.point_cloud_laplacian(
+        _array(points, np.float64),
+        mollify_factor=mollify_factor,
+        num_neighbors=num_neighbors,
+        published_fit=published_fit,
+    )
+
+
 def connected_components(num_vertices: int, faces: ArrayLike | torch.Tensor) -> NDArray:
     """(V,) component of each vertex; an unreferenced vertex is one of its own."""
     return _native.connected_components(num_vertices, _array(faces, np.int32))
@@ -102,6 +177,7 @@ def surface_operators(
     k: int = 128,
     cache: bool | str | os.PathLike[str] = True,
     *,
+    laplacian: str = "cotan",
     regularization: str = "relative",
     name: str = "mesh",
 ) -> SurfaceOperators:
@@ -109,10 +185,12 @@ def surface_operators(
 
     Args:
         vertices: (V, 3) any unit.
-        faces: (F, 3) integer triangles.
+        faces: (F, 3) integer triangles; (0, 3) for a point cloud, with ``laplacian="robust"``.
         k: number of eigenpairs, at most V.
         cache: keep the result on disk: True for the default folder ($FREETALK_CACHE or
             ~/.cache/freetalk), a path for another, False to compute.
+        laplacian: "cotan" (as the public ``diffusion_net``) or "robust" (tufted, Sharp & Crane 2020:
+            for torn and non-manifold meshes, triangle soups and point clouds).
         regularization: "relative" (operators follow a uniform scale exactly) or "absolute" (the
             constants of the public ``diffusion_net`` package).
         name: names the mesh in messages.
@@ -124,7 +202,7 @@ def surface_operators(
         ValueError: NaN, indices out of range, more eigenpairs than vertices, no area.
         RuntimeError: the eigensolver did not converge; names the mesh.
     """
-    options = OperatorOptions(k_eig=int(k), regularization=regularization)
+    options = OperatorOptions(k_eig=int(k), laplacian=laplacian, regularization=regularization)
     points, triangles = _array(vertices, np.float64), _array(faces, np.int32)
     if cache is False:
         return _native.surface_operators(points, triangles, options=options, name=name)

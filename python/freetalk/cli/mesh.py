@@ -12,28 +12,32 @@ from freetalk.cli.weights import find_weights
 
 
 def check(arguments: argparse.Namespace) -> None:
-    """Reports counts, extent, unit and pose of a mesh file."""
-    file = check_readable(arguments.file, "a mesh (OBJ, PLY, OFF or STL)")
+    """Reports what a mesh file holds, what is wrong with it, its unit and pose."""
+    file = check_readable(arguments.file, "a mesh (OBJ, PLY, OFF, STL or glTF)")
     import freetalk.geometry
-    from freetalk import _native
-    from freetalk.viz import boundary_rims, part_labels
 
     mesh: Any = freetalk.load_mesh(file)
-    vertices = np.asarray(mesh.vertices)
-    faces = np.asarray(mesh.faces, dtype=np.int64)
-    corners = vertices[faces]
-    area = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
-    used = np.zeros(len(vertices), dtype=bool)
-    used[faces] = True
-    extent = np.ptp(vertices[used], axis=0)
-    print(f"{file}: {len(vertices)} vertices, {len(faces)} triangles")
-    print(f"  parts: {part_labels(faces, len(vertices))[used].max() + 1}")
-    print(f"  open rims: {len(boundary_rims(faces, len(vertices)))}")
-    print(f"  triangles without area: {int((area <= 1e-12 * area.max()).sum())}")
-    print(f"  vertices in no triangle: {int((~used).sum())}")
-    print(f"  extent: {extent[0]:.4g} x {extent[1]:.4g} x {extent[2]:.4g}")
+    report: Any = freetalk.geometry.mesh_report(mesh)
+    print(f"{file}: {report.vertices} vertices, {report.triangles} triangles")
+    if report.larger_polygons:
+        print(f"  polygons: {report.polygons}, {report.larger_polygons} of more than 3 corners")
+    print(f"  parts: {report.parts}")
+    print(f"  open rims: {report.boundaries}, of {report.boundary_edges} edges")
+    extent = " x ".join(f"{length:.4g}" for length in report.extent)
+    print(f"  extent: {extent}")
+    print(f"  texture coordinates: {'yes' if len(mesh.texcoords) else 'no'}")
+    findings = report.findings()
+    print("  to know:" if findings else "  to know: nothing, it is a clean mesh")
+    for finding in findings:
+        print(f"    {finding}")
+    if report.zero_area_triangles < report.triangles:
+        print(f"  pose: {_pose(arguments, np.asarray(mesh.vertices), np.asarray(mesh.faces))}")
+
+
+def _pose(arguments: argparse.Namespace, vertices: Any, faces: Any) -> str:
+    import freetalk.geometry
+    from freetalk import _native
+
     template = find_weights(arguments.pretrained) / "template.safetensors"
     tensors = _native.core.load_safetensors(
         check_readable(str(template), "weights with a template")
@@ -47,4 +51,5 @@ def check(arguments: argparse.Namespace) -> None:
         up=arguments.up,
         forward=arguments.forward,
     )
-    print(f"  pose: {alignment.summary}")
+    summary: str = alignment.summary
+    return summary
