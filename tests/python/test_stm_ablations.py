@@ -15,7 +15,6 @@ from test_nn_diffusion_net import wavy_grid
 
 import freetalk
 from freetalk.geometry import surface_operators
-from freetalk.nn import landmark_adjacency
 from freetalk.stm import Stm, StmOptions
 from freetalk.train.config import load_config
 
@@ -78,7 +77,7 @@ def plain_stm(
     inputs = torch.cat([positions.double() / o.length_scale, operators.normals.double()], 1)
     features = encoder(inputs, mesh)
     motion = landmarks.double() / o.displacement_scale
-    local, adjacency = motion, landmark_adjacency().double()
+    local, adjacency = motion, state["gcn.adjacency"]  # shipped in half precision
     for layer in range(o.gcn_layers):
         local = adjacency @ linear(f"gcn.layer_{layer}", local)
         local = torch.relu(local) if layer + 1 < o.gcn_layers else local
