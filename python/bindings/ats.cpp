@@ -47,7 +47,8 @@ void bind_generate(py::module_& m) {
   m.def(
       "generate",
       [](const std::shared_ptr<fa::AtsImpl>& model, const at::Tensor& features,
-         const at::Tensor& emotion, const at::Tensor& intensity, const fa::GenerateOptions& options,
+         const at::Tensor& emotion, const at::Tensor& intensity,
+         const std::optional<at::Tensor>& weight, const fa::GenerateOptions& options,
          const std::vector<uint64_t>& seeds,
          const std::optional<freetalk::diffusion::StepCallback>& on_step) {
         const py::gil_scoped_release release;
@@ -56,11 +57,13 @@ void bind_generate(py::module_& m) {
         for (const uint64_t seed : seeds) {
           generators.push_back(freetalk::core::make_generator(seed, features.device()));
         }
-        return fa::generate(holder, features, fa::Affect{emotion, intensity}, options, generators,
-                            on_step.value_or(freetalk::diffusion::StepCallback{}));
+        return fa::generate(holder, features,
+                            fa::Affect{emotion, intensity, value_or_undefined(weight)}, options,
+                            generators, on_step.value_or(freetalk::diffusion::StepCallback{}));
       },
       py::arg("model"), py::arg("features"), py::kw_only(), py::arg("emotion"),
-      py::arg("intensity"), py::arg("options") = fa::GenerateOptions{}, py::arg("seeds"),
+      py::arg("intensity"), py::arg("weight") = py::none(),
+      py::arg("options") = fa::GenerateOptions{}, py::arg("seeds"),
       py::arg("on_step") = py::none());
 }
 
@@ -68,17 +71,17 @@ void bind_emotion(py::module_& m) {
   m.def("parse_emotion", &fa::parse_emotion, py::arg("text"), py::arg("emotions"),
         "'happy', an alias, or 'happy:0.7,sad:0.3' to a convex mixture (E,).");
   m.def(
-      "emotion_frames",
+      "emotion_track",
       [](const std::string& text, const std::vector<std::string>& emotions, double intensity,
          int64_t num_frames, double fps) {
         const auto felt =
             fa::interpolate(fa::parse_emotion_keys(text, emotions, intensity), num_frames, fps);
-        return std::pair{felt.emotion, felt.intensity};
+        return std::tuple{felt.emotion, felt.intensity, felt.weight};
       },
       py::arg("text"), py::arg("emotions"), py::kw_only(), py::arg("intensity"),
       py::arg("num_frames"), py::arg("fps"),
-      "Keys such as '0=neutral; 2.5=happy:0.7,surprise:0.3@2.5' to the mixture (T, E) and the "
-      "intensity (T,) of every frame.");
+      "Keys such as '0=neutral; 2.5=happy:0.7,surprise:0.3@2.5' to their mixtures (K, E) and "
+      "intensities (K,), and the weight of each in every frame (T, K).");
 }
 
 }  // namespace

@@ -129,15 +129,15 @@ def _mixture_text(mixture: Mixture) -> str:
     return ",".join(f"{name}:{float(weight)!r}" for name, weight in mixture.items())
 
 
-def emotion_frames(
+def emotion_track(
     emotion: Emotion,
     emotions: Sequence[str],
     *,
     num_frames: int,
     fps: float,
     intensity: float = 2.0,
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Mixture and intensity of every frame: linear between keyframes, held before and after them.
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """The emotions of keyframes, and how much of each a frame feels.
 
     Args:
         emotion: as :func:`emotion_text` takes it.
@@ -147,12 +147,13 @@ def emotion_frames(
         intensity: of keyframes that name none.
 
     Returns:
-        (T, E) convex mixtures and (T,) intensities, as :func:`generate` takes them.
+        (K, E) convex mixtures, (K,) intensities and (T, K) weights, linear from keyframe to keyframe and
+        held before and after them, as :func:`generate` takes them.
 
     Raises:
         ValueError: an unknown emotion, or times that do not rise; the message quotes the part at fault.
     """
-    return _native.ats.emotion_frames(
+    return _native.ats.emotion_track(
         emotion_text(emotion), list(emotions), intensity=intensity, num_frames=num_frames, fps=fps
     )
 
@@ -163,24 +164,28 @@ def generate(
     *,
     emotion: torch.Tensor,
     intensity: float | torch.Tensor,
+    weight: torch.Tensor | None = None,
     options: _native.ats.GenerateOptions | None = None,
     seed: int | Sequence[int] = 0,
     on_step: Callable[[int, int], None] | None = None,
 ) -> torch.Tensor:
     """Motion of any length from speech features, by diffusion over overlapping windows denoised together.
 
+    Where the emotion changes, the estimates of x_0 under each emotion are blended frame by frame.
+
     Args:
         model: in eval mode.
         features: (T, C) speech features at ``model.options.fps``.
-        emotion: (E,) convex mixture, see ``parse_emotion``; or (T, E), see ``emotion_frames``.
-        intensity: real in [1, num_intensities]; (T,) if the emotion is (T, E).
+        emotion: (E,) convex mixture, see ``parse_emotion``; or (K, E), see ``emotion_track``.
+        intensity: real in [1, num_intensities]; (K,) if the emotion is (K, E).
+        weight: (T, K) of each emotion in every frame, a frame's sum is one; needed for K > 1.
         options: sampler, steps, guidance, precision, windows.
         seed: of the noise; the same seed gives the same motion. K seeds give K motions, sampled together.
         on_step: called with (steps done, steps in all).
 
     Returns:
         (T, 68, 3) float32 landmark displacements in metres, canonical frame; (K, T, 68, 3) for a
-        sequence of seeds.
+        sequence of K seeds.
 
     Raises:
         ValueError: a shape does not fit, or a value is out of range.
@@ -189,8 +194,9 @@ def generate(
     motion = _native.ats.generate(
         model._impl,
         features,
-        emotion=emotion,
-        intensity=torch.as_tensor(intensity, dtype=features.dtype),
+        emotion=emotion if emotion.dim() > 1 else emotion[None],
+        intensity=torch.as_tensor(intensity, dtype=features.dtype).reshape(-1),
+        weight=weight,
         options=options or GenerateOptions(),
         seeds=[int(one) for one in seed] if isinstance(seed, Sequence) else [int(seed)],
         on_step=on_step,
@@ -204,8 +210,8 @@ __all__ = [
     "Ats",
     "AtsOptions",
     "GenerateOptions",
-    "emotion_frames",
     "emotion_text",
+    "emotion_track",
     "generate",
     "parse_emotion",
     "window_starts",

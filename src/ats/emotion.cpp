@@ -3,6 +3,7 @@
 #include <ATen/ATen.h>
 #include <torch/types.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdlib>
 #include <map>
@@ -84,7 +85,7 @@ EmotionKey parse_key(const std::string& text, const std::vector<std::string>& em
 }  // namespace
 
 Affect constant_affect(const at::Tensor& emotion, double intensity) {
-  return {emotion, at::scalar_tensor(intensity, emotion.options())};
+  return {emotion.unsqueeze(0), at::full({1}, intensity, emotion.options()), {}};
 }
 
 Affect interpolate(const std::vector<EmotionKey>& keys, int64_t num_frames, double fps) {
@@ -94,21 +95,25 @@ Affect interpolate(const std::vector<EmotionKey>& keys, int64_t num_frames, doub
     FREETALK_CHECK(keys[i].time_s > keys[i - 1].time_s, "emotion keys: times must rise, found ",
                    keys[i].time_s, " s after ", keys[i - 1].time_s, " s");
   }
-  std::vector<at::Tensor> mixtures;
+  std::vector<at::Tensor> emotions;
   std::vector<float> intensities;
+  for (const EmotionKey& key : keys) {
+    emotions.push_back(key.emotion);
+    intensities.push_back(static_cast<float>(key.intensity));
+  }
+  const at::Tensor weight = at::zeros({num_frames, static_cast<int64_t>(keys.size())}, at::kFloat);
+  auto at_frame = weight.accessor<float, 2>();
   size_t after = 0;  // the first key that lies after the frame
   for (int64_t frame = 0; frame < num_frames; ++frame) {
     const double time = static_cast<double>(frame) / fps;
     while (after < keys.size() && keys[after].time_s <= time) ++after;
-    const EmotionKey& next = keys[std::min(after, keys.size() - 1)];
-    const EmotionKey& last = keys[after > 0 ? after - 1 : 0];
-    const double span = next.time_s - last.time_s;
-    const double share = span > 0 ? (time - last.time_s) / span : 0;
-    mixtures.push_back(last.emotion * (1 - share) + next.emotion * share);
-    intensities.push_back(
-        static_cast<float>(last.intensity * (1 - share) + next.intensity * share));
+    const size_t next = std::min(after, keys.size() - 1), last = after > 0 ? after - 1 : 0;
+    const double span = keys[next].time_s - keys[last].time_s;
+    const double share = span > 0 ? (time - keys[last].time_s) / span : 0;
+    at_frame[frame][static_cast<int64_t>(last)] += static_cast<float>(1 - share);
+    at_frame[frame][static_cast<int64_t>(next)] += static_cast<float>(share);
   }
-  return {at::stack(mixtures), torch::tensor(intensities)};
+  return {at::stack(emotions), torch::tensor(intensities), weight};
 }
 
 at::Tensor parse_emotion(const std::string& text, const std::vector<std::string>& emotions) {

@@ -15,17 +15,18 @@ void check_inputs(const AtsOptions& own, const at::Tensor& features, const Affec
                   const std::vector<at::Generator>& generators) {
   FREETALK_CHECK(features.dim() == 2 && features.size(0) > 0 && features.size(1) == own.audio_dim,
                  "generate: expected features (T, ", own.audio_dim, "), found ", features.sizes());
-  const int64_t frames = features.size(0);
   const auto count = static_cast<int64_t>(own.emotions.size());
-  const bool changing = affect.emotion.dim() == 2;
-  FREETALK_CHECK(changing ? affect.emotion.sizes() == at::IntArrayRef({frames, count})
-                          : affect.emotion.sizes() == at::IntArrayRef({count}),
-                 "generate: expected emotion (", count, ",) or (", frames, ", ", count, "), found ",
+  const bool single = !affect.weight.defined();
+  const int64_t keys = single ? 1 : affect.weight.size(-1);
+  FREETALK_CHECK(affect.emotion.sizes() == at::IntArrayRef({keys, count}),
+                 "generate: expected emotion (", keys, ", ", count, "), found ",
                  affect.emotion.sizes());
-  FREETALK_CHECK(changing ? affect.intensity.sizes() == at::IntArrayRef({frames})
-                          : affect.intensity.dim() == 0,
-                 "generate: expected an intensity for each emotion, found ", affect.emotion.sizes(),
-                 " and ", affect.intensity.sizes());
+  FREETALK_CHECK(affect.intensity.sizes() == at::IntArrayRef({keys}),
+                 "generate: expected an intensity for each emotion, found ",
+                 affect.intensity.sizes(), " for ", keys);
+  FREETALK_CHECK(single || affect.weight.sizes() == at::IntArrayRef({features.size(0), keys}),
+                 "generate: expected a weight of every emotion for ", features.size(0),
+                 " frames, found ", affect.weight.sizes());
   const double least = affect.intensity.min().item<double>();
   const double most = affect.intensity.max().item<double>();
   FREETALK_CHECK(least >= 1 && most <= static_cast<double>(own.num_intensities),
@@ -35,8 +36,8 @@ void check_inputs(const AtsOptions& own, const at::Tensor& features, const Affec
 }
 
 Affect of_frames(const Affect& affect, int64_t first, int64_t count) {
-  if (affect.emotion.dim() < 2) return affect;
-  return {affect.emotion.narrow(0, first, count), affect.intensity.narrow(0, first, count)};
+  if (!affect.weight.defined()) return affect;
+  return {affect.emotion, affect.intensity, affect.weight.narrow(0, first, count)};
 }
 
 }  // namespace
@@ -82,7 +83,8 @@ at::Tensor generate(Ats& model, const at::Tensor& features, const Affect& affect
   AtsInference network(*model, diffusion::sampler_timesteps(schedule, sampling), plan.window, dtype,
                        plan.window * std::min<int64_t>(static_cast<int64_t>(plan.groups[0].size()),
                                                        options.windows_per_batch));
-  const Affect felt{affect.emotion.to(features.options()), affect.intensity.to(features.options())};
+  const Affect felt{affect.emotion.to(features.options()), affect.intensity.to(features.options()),
+                    affect.weight.defined() ? affect.weight.to(features.options()) : at::Tensor()};
   std::vector<at::Tensor> start;
   for (const at::Generator& generator : generators) {
     start.push_back(at::randn({features.size(0), kMotionDim}, generator, features.options()));
@@ -115,6 +117,7 @@ at::Tensor generate(Ats& model, const at::Tensor& features, const Affect& affect
 at::Tensor generate(Ats& model, const at::Tensor& features, const at::Tensor& emotion,
                     double intensity, const GenerateOptions& options, at::Generator generator,
                     const diffusion::StepCallback& on_step) {
+  FREETALK_CHECK(emotion.dim() == 1, "generate: expected emotion (E,), found ", emotion.sizes());
   return generate(model, features, constant_affect(emotion, intensity), options, {generator},
                   on_step)
       .squeeze(0);

@@ -26,19 +26,17 @@ AtsInference::AtsInference(AtsImpl& model, const std::vector<int64_t>& timesteps
 
 AtsInference::Prepared AtsInference::prepare(const at::Tensor& audio, const Affect& affect,
                                              bool null_audio) {
-  const int64_t windows = audio.size(0);
-  const bool changing = affect.emotion.dim() > 1;
   Condition condition;
   condition.audio = audio;
-  condition.emotion = changing ? affect.emotion : affect.emotion.expand({windows, -1});
-  condition.intensity = changing ? affect.intensity : affect.intensity.expand({windows});
+  condition.emotion = affect.emotion;
+  condition.intensity = affect.intensity;
+  const at::Tensor codes = model_.affect_code(condition);  // (K, 1, d)
   const at::Tensor positions = model_.target_positions_.narrow(0, 0, num_frames_);
-  const at::Tensor felt = positions + model_.affect_code(condition);  // (W, T, d)
   Prepared prepared;
-  prepared.base = at::stack({felt, (positions + model_.null_affect_).expand_as(felt)});
+  prepared.base = positions + at::cat({codes, model_.null_affect_.view({1, 1, -1})});
   at::Tensor memory = model_.audio_memory(condition);  // (W, T, d)
   if (null_audio) {
-    condition.drop_audio = at::ones({windows}, audio.options().dtype(at::kBool));
+    condition.drop_audio = at::ones({audio.size(0)}, audio.options().dtype(at::kBool));
     memory = at::cat({memory, model_.audio_memory(condition)});
   }
   memory = memory.to(dtype_);
@@ -53,10 +51,14 @@ at::Tensor AtsInference::denoise(const at::Tensor& x, int64_t timestep, const Pr
   std::vector<at::Tensor> base;
   std::vector<int64_t> memory_of;
   for (const Variant& variant : variants) {
-    base.push_back(prepared.base[variant.null_affect ? 1 : 0]);
+    base.push_back(prepared.base[variant.affect]);
     memory_of.push_back(variant.null_audio ? 1 : 0);
   }
-  const at::Tensor start = (at::stack(base) + time_codes_.at(timestep)).to(dtype_).flatten(0, 1);
+  const at::Tensor start = (at::stack(base) + time_codes_.at(timestep))
+                               .to(dtype_)
+                               .unsqueeze(1)
+                               .expand({-1, x.size(1), -1, -1})
+                               .flatten(0, 1);
   at::Tensor z = input_.add(x.to(dtype_).flatten(0, 1), start);  // (G W, T, d)
   for (size_t i = 0; i < layers_.size(); ++i) {
     z = layers_[i].forward(z, prepared.memory[i], memory_of, band_);

@@ -62,23 +62,24 @@ WindowGroup::WindowGroup(AtsInference& network, const WindowPlan& plan, std::vec
   after_.weight = total_.narrow(0, total_.size(0) - shared_after, shared_after);
 
   const double audio_extra = options.audio_guidance - 1, affect_extra = options.affect_guidance - 1;
-  variants_.push_back({});
-  variant_weights_.push_back(1 + audio_extra + affect_extra);
-  if (audio_extra != 0) {
-    variants_.push_back({true, false});
-    variant_weights_.push_back(-audio_extra);
+  const int64_t num_emotions = affect.emotion.size(0);
+  for (int64_t k = 0; k < num_emotions; ++k) {
+    at::Tensor weight = at::ones({1, 1, 1}, audio.options());
+    if (affect.weight.defined()) {
+      weight = stack_windows(affect.weight.narrow(1, k, 1), starts_, window_, 0);
+      if (weight.eq(0).all().item<bool>()) continue;
+    }
+    variants_.push_back({false, k});
+    variant_weights_.push_back(weight * (1 + audio_extra + affect_extra));
+    if (audio_extra == 0) continue;
+    variants_.push_back({true, k});
+    variant_weights_.push_back(weight * -audio_extra);
   }
   if (affect_extra != 0) {
-    variants_.push_back({false, true});
-    variant_weights_.push_back(-affect_extra);
+    variants_.push_back({false, num_emotions});
+    variant_weights_.push_back(at::full({1, 1, 1}, -affect_extra, audio.options()));
   }
-  Affect windowed = affect;
-  if (affect.emotion.dim() > 1) {
-    windowed = {stack_windows(affect.emotion, starts_, window_, 0),
-                stack_windows(affect.intensity, starts_, window_, 0)};
-  }
-  prepared_ =
-      network.prepare(stack_windows(audio, starts_, window_, 0), windowed, audio_extra != 0);
+  prepared_ = network.prepare(stack_windows(audio, starts_, window_, 0), affect, audio_extra != 0);
 }
 
 at::Tensor WindowGroup::guided(const at::Tensor& windows, int64_t timestep) const {
@@ -96,7 +97,7 @@ at::Tensor WindowGroup::guided(const at::Tensor& windows, int64_t timestep) cons
     const at::Tensor x0 = network_.denoise(at::stack(inputs), timestep, prepared_, variants);
     for (int64_t i = 0; i < x0.size(0); ++i) {
       const int64_t slot = first + i;
-      result[slot % samples].add_(x0[i], variant_weights_[static_cast<size_t>(slot / samples)]);
+      result[slot % samples].add_(x0[i] * variant_weights_[static_cast<size_t>(slot / samples)]);
     }
   }
   return result;

@@ -36,7 +36,7 @@ WindowPlan plan_windows(int64_t num_frames, int64_t max_frames, const GenerateOp
 class WindowGroup {
  public:
   /// @param starts of the windows, relative to the group's first frame. @param audio (frames, C).
-  /// @param affect emotion (frames, E) or (E,). @param before what the group before left.
+  /// @param affect its weights (frames, K). @param before what the group before left.
   /// @param shared_after frames to leave to the next group.
   WindowGroup(AtsInference& network, const WindowPlan& plan, std::vector<int64_t> starts,
               const at::Tensor& audio, const Affect& affect, const GenerateOptions& options,
@@ -56,7 +56,7 @@ class WindowGroup {
   std::vector<int64_t> starts_;
   int64_t window_;
   std::vector<AtsInference::Variant> variants_;
-  std::vector<double> variant_weights_;
+  std::vector<at::Tensor> variant_weights_;  // broadcastable to (W, T, 1)
   AtsInference::Prepared prepared_;
   at::Tensor fade_, total_;  // (window, 1), (frames, 1)
   Shared before_, after_;

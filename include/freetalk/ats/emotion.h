@@ -8,13 +8,16 @@
 
 namespace freetalk::ats {
 
-/// Emotion and intensity of every frame, or of all frames.
+/// Emotions of a motion and how much of each a frame feels. Every emotion is the network's
+/// condition for a whole window, as in training, and the estimates of x_0 are blended frame by
+/// frame: a condition that changed within a window would spread over it by self-attention.
 struct Affect {
-  at::Tensor emotion;    // (T, E) or (E,) float, convex mixtures over AtsOptions::emotions
-  at::Tensor intensity;  // (T,) or () float in [1, num_intensities]
+  at::Tensor emotion;    // (K, E) float, convex mixtures over AtsOptions::emotions
+  at::Tensor intensity;  // (K,) float in [1, num_intensities]
+  at::Tensor weight;     // (T, K) float, each frame's sum to one; undefined: K is one
 };
 
-/// The same emotion for all frames. @param emotion (E,).
+/// One emotion for all frames. @param emotion (E,).
 Affect constant_affect(const at::Tensor& emotion, double intensity);
 
 /// What the face feels at one moment.
@@ -24,8 +27,7 @@ struct EmotionKey {
   double intensity = 2;
 };
 
-/// Mixture and intensity at every frame: linear between keys, held before the first and after the
-/// last. A convex combination of convex mixtures is one.
+/// Linear from key to key, held before the first and after the last.
 /// @param keys at least one, their times rising.
 Affect interpolate(const std::vector<EmotionKey>& keys, int64_t num_frames, double fps);
 

@@ -51,8 +51,8 @@ std::vector<int64_t> window_starts(int64_t num_frames, int64_t window, int64_t o
 /// c + (w_a - 1) (c - c_without_audio) + (w_e - 1) (c - c_without_affect), c the conditional one
 /// [Ho and Salimans 2022, for two conditions].
 /// @param model in eval mode. @param features (T, C) speech features at the model's fps.
-/// @param affect of every frame, or of all. @param generators K of them: each draws the noise of
-/// one motion, which is that of its generator alone up to rounding.
+/// @param affect the emotions and their weights in every frame. @param generators K of them: each
+/// draws the noise of one motion, which is that of its generator alone up to rounding.
 /// @returns (K, T, 68, 3) float32 landmark displacements, metres, canonical frame.
 /// @throws std::invalid_argument on shapes or values out of range.
 at::Tensor generate(Ats& model, const at::Tensor& features, const Affect& affect,

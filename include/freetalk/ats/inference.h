@@ -22,18 +22,19 @@ class AtsInference {
   AtsInference(AtsImpl& model, const std::vector<int64_t>& timesteps, int64_t num_frames,
                at::ScalarType dtype, int64_t rows);
 
-  /// A condition of the network, with null audio or null affect for guidance.
+  /// A condition of the network; the null ones serve guidance.
   struct Variant {
-    bool null_audio = false, null_affect = false;
+    bool null_audio = false;
+    int64_t affect = 0;  // index of an emotion; their number K: the null affect
   };
   /// What does not depend on the step, for W windows.
   struct Prepared {
-    at::Tensor base;  // (2, W, T, d): positions and affect code; then with null affect
+    at::Tensor base;  // (K + 1, T, d): positions and the code of each affect, then the null one
     std::vector<at::Tensor>
         memory;  // of each layer (2 W, T + 2 margin, 2d): audio; then null audio
   };
 
-  /// @param audio (W, T, C). @param affect emotion (W, T, E) or (E,), intensity (W, T) or ().
+  /// @param audio (W, T, C). @param affect its K emotions and intensities.
   /// @param null_audio whether variants with null audio will be asked for.
   Prepared prepare(const at::Tensor& audio, const Affect& affect, bool null_audio);
 

@@ -62,9 +62,9 @@ TEST(Interpolate, IsLinearBetweenKeysAndHeldOutside) {
   const auto keys = parse_emotion_keys("1=neutral@1;2=happy@3", kEmotions, 2.0);
   const Affect felt = interpolate(keys, 7, 2.0);  // 0, 0.5 ... 3 s
   const at::Tensor happy = torch::tensor({0.0F, 0.0F, 0.0F, 0.5F, 1.0F, 1.0F, 1.0F});
-  EXPECT_TRUE(torch::allclose(felt.emotion.select(1, 1), happy));
-  EXPECT_TRUE(torch::allclose(felt.emotion.sum(1), torch::ones({7})));
-  EXPECT_TRUE(torch::allclose(felt.intensity, 1 + 2 * happy));
+  EXPECT_TRUE(torch::allclose(felt.weight, torch::stack({1 - happy, happy}, 1)));
+  EXPECT_TRUE(torch::equal(felt.emotion, torch::tensor({{1.0F, 0.0F, 0.0F}, {0.0F, 1.0F, 0.0F}})));
+  EXPECT_TRUE(torch::equal(felt.intensity, torch::tensor({1.0F, 3.0F})));
   EXPECT_THROW(interpolate({keys[1], keys[0]}, 7, 2.0), std::invalid_argument);
   EXPECT_THROW(interpolate({}, 7, 2.0), std::invalid_argument);
 }

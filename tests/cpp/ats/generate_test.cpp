@@ -46,8 +46,8 @@ std::vector<at::Generator> generators(const std::vector<uint64_t>& seeds) {
 
 Affect changing_affect(int64_t frames) {
   const at::Tensor share = torch::linspace(0, 1, frames).unsqueeze(1);
-  const at::Tensor emotion = torch::cat({1 - share, share, torch::zeros_like(share)}, 1);
-  return {emotion, torch::linspace(1, 3, frames)};
+  return {torch::eye(3).narrow(0, 0, 2), torch::tensor({1.0F, 3.0F}),
+          torch::cat({1 - share, share}, 1)};
 }
 
 TEST(AtsInference, EqualsForward) {
@@ -63,15 +63,16 @@ TEST(AtsInference, EqualsForward) {
       const torch::NoGradGuard no_grad;
       const auto draw = core::make_generator(4);
       const at::Tensor audio = torch::randn({2, frames, 5}, draw);
-      const Affect one = changing_affect(frames);
-      const Affect felt{one.emotion.expand({2, -1, -1}), one.intensity.expand({2, -1})};
+      const Affect felt = changing_affect(frames);
       const at::Tensor x = torch::randn({3, 2, frames, kMotionDim}, draw);
       AtsInference network(*model, {999, 40}, frames, at::kFloat, 2 * frames);
       const auto prepared = network.prepare(audio, felt, /*null_audio=*/true);
       const at::Tensor guesses =
-          network.denoise(x, 40, prepared, {{false, false}, {true, false}, {false, true}});
+          network.denoise(x, 40, prepared, {{false, 1}, {true, 0}, {false, 2}});
       for (int64_t variant = 0; variant < 3; ++variant) {
-        Condition condition{audio, felt.emotion, felt.intensity, {}, {}, {}};
+        const int64_t key = variant == 0 ? 1 : 0;
+        Condition condition{
+            audio, felt.emotion[key].expand({2, -1}), felt.intensity[key].expand({2}), {}, {}, {}};
         const at::Tensor dropped = torch::ones({2}, at::kBool);
         if (variant == 1) condition.drop_audio = dropped;
         if (variant == 2) condition.drop_affect = dropped;
@@ -128,15 +129,21 @@ TEST(Generate, IsGuidedDiffusionOverTheModel) {
   const at::Tensor dropped = torch::ones({1}, at::kBool);
   const auto denoiser = [&](const at::Tensor& x, int64_t timestep) {
     const at::Tensor step = torch::full({1}, timestep, at::kLong);
-    Condition condition{
-        features.unsqueeze(0), felt.emotion.unsqueeze(0), felt.intensity.unsqueeze(0), {}, {}, {}};
-    const at::Tensor full = model(x, step, condition);
-    condition.drop_audio = dropped;
-    const at::Tensor silent = model(x, step, condition);
-    condition.drop_audio = at::Tensor();
-    condition.drop_affect = dropped;
-    const at::Tensor calm = model(x, step, condition);
-    return full + 0.5 * (full - silent) + 1.5 * (full - calm);
+    const auto blended = [&](bool drop_audio, bool drop_affect) {
+      at::Tensor sum = torch::zeros_like(x);
+      for (int64_t key = 0; key < 2; ++key) {
+        Condition condition{features.unsqueeze(0),
+                            felt.emotion[key].unsqueeze(0),
+                            felt.intensity[key].unsqueeze(0),
+                            {},
+                            drop_audio ? dropped : at::Tensor(),
+                            drop_affect ? dropped : at::Tensor()};
+        sum = sum + model(x, step, condition) * felt.weight.select(1, key).view({1, -1, 1});
+      }
+      return sum;
+    };
+    const at::Tensor full = blended(false, false);
+    return full + 0.5 * (full - blended(true, false)) + 1.5 * (full - blended(false, true));
   };
   const at::Tensor noise = torch::randn({frames, kMotionDim}, core::make_generator(8)).unsqueeze(0);
   const at::Tensor expected = diffusion::sample(schedule, denoiser, noise,
@@ -210,7 +217,7 @@ TEST(Generate, WrongInputsThrow) {
                std::invalid_argument);
   EXPECT_THROW(generate(model, features, changing_affect(5), {}, generators({1})),
                std::invalid_argument);
-  EXPECT_THROW(generate(model, features, {changing_affect(4).emotion, torch::tensor(2.0)}, {},
+  EXPECT_THROW(generate(model, features, {changing_affect(4).emotion, torch::ones({2}), {}}, {},
                         generators({1})),
                std::invalid_argument);
   EXPECT_THROW(generate(model, features, changing_affect(4), {}, {}), std::invalid_argument);
