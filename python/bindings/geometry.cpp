@@ -192,8 +192,8 @@ void bind_operators(py::module_& m) {
         return "SurfaceOperators(vertices=" + std::to_string(self.num_vertices()) +
                ", k_eig=" + std::to_string(self.k_eig()) + ")";
       });
-  m.def("concatenate", py::overload_cast<const std::vector<geometry::SurfaceOperators>&>(
-                           &geometry::concatenate),
+  m.def("concatenate",
+        py::overload_cast<const std::vector<geometry::SurfaceOperators>&>(&geometry::concatenate),
         py::arg("parts"), NoGil(), "Operators of several meshes as one block-diagonal batch.");
   m.def("surface_operators", &geometry::surface_operators, py::arg("vertices"), py::arg("faces"),
         py::kw_only(), py::arg("options") = geometry::OperatorOptions{}, py::arg("name") = "mesh",
