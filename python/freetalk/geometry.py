@@ -10,12 +10,15 @@ import numpy as np
 import torch
 
 from freetalk._native import geometry as _native
+from freetalk._progress import ShareProgress, progress_bar
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
 Alignment = _native.Alignment
 AlignOptions = _native.AlignOptions
+Eigenbasis = _native.Eigenbasis
+EigenbasisOptions = _native.EigenbasisOptions
 FaceOperators = _native.FaceOperators
 Mesh = _native.Mesh
 MeshReport = _native.MeshReport
@@ -26,6 +29,8 @@ SurfaceOperators = _native.SurfaceOperators
 __all__ = [
     "AlignOptions",
     "Alignment",
+    "Eigenbasis",
+    "EigenbasisOptions",
     "FaceOperators",
     "Mesh",
     "MeshReport",
@@ -37,6 +42,7 @@ __all__ = [
     "connected_components",
     "cotan_laplacian",
     "default_cache_dir",
+    "eigenbasis",
     "face_areas",
     "load_mesh",
     "lumped_mass",
@@ -171,6 +177,45 @@ def connected_components(num_vertices: int, faces: ArrayLike | torch.Tensor) -> 
     return _native.connected_components(num_vertices, _array(faces, np.int32))
 
 
+def eigenbasis(
+    laplacian: Any,
+    mass: ArrayLike | torch.Tensor,
+    k: int = 128,
+    *,
+    tolerance: float = 1e-6,
+    solver: str = "auto",
+    name: str = "mesh",
+    progress: bool | ShareProgress | None = True,
+) -> Eigenbasis:
+    """The k smallest eigenpairs of L φ = λ M φ, in float64, for a diagonal M.
+
+    The same bits for any number of threads. 1e-8 is added to the diagonal of L.
+
+    Args:
+        laplacian: (V, V) scipy sparse, symmetric, positive semi-definite.
+        mass: (V,) positive: the diagonal of M.
+        k: number of eigenpairs, at most V.
+        tolerance: largest residual |L φ - λ M φ| / (λ |M φ|) accepted; small λ count as 4π / area.
+        solver: "auto" (by size), "block" (shift-invert block Lanczos), "spectra" (the reference:
+            shift-invert Lanczos of the Spectra library) or "dense" (full decomposition).
+        name: names the mesh in messages.
+        progress: a bar on a terminal once it takes over two seconds, nothing, or a callback that is
+            given the finished share; it may raise to stop.
+
+    Returns:
+        ``evals`` (K,) ascending, ``evecs`` (V, K) with evecsᵀ M evecs = I, and ``residuals`` (K,).
+
+    Raises:
+        ValueError: more eigenpairs than vertices, a mass that is not positive, shapes that differ.
+        RuntimeError: a larger subspace and shift did not converge either; names the mesh.
+    """
+    options = EigenbasisOptions(k=int(k), tolerance=float(tolerance), solver=solver)
+    with progress_bar(progress, f"eigenbasis of {name}") as report:
+        return _native.eigenbasis(
+            laplacian, _array(mass, np.float64), options=options, name=name, progress=report
+        )
+
+
 def surface_operators(
     vertices: ArrayLike | torch.Tensor,
     faces: ArrayLike | torch.Tensor,
@@ -180,6 +225,8 @@ def surface_operators(
     laplacian: str = "cotan",
     regularization: str = "relative",
     name: str = "mesh",
+    max_cache_bytes: int = 4 << 30,
+    progress: bool | ShareProgress | None = True,
 ) -> SurfaceOperators:
     """Mass, eigenbasis, gradients and normals of a surface, in float64 on the CPU.
 
@@ -194,6 +241,9 @@ def surface_operators(
         regularization: "relative" (operators follow a uniform scale exactly) or "absolute" (the
             constants of the public ``diffusion_net`` package).
         name: names the mesh in messages.
+        max_cache_bytes: the folder is kept below this: entries unused for longest go.
+        progress: a bar on a terminal once it takes over two seconds, nothing, or a callback that is
+            given the finished share; it may raise to stop.
 
     Returns:
         The operators; ``.to(dtype, device)`` and ``.scaled(factor)`` give converted ones.
@@ -204,14 +254,20 @@ def surface_operators(
     """
     options = OperatorOptions(k_eig=int(k), laplacian=laplacian, regularization=regularization)
     points, triangles = _array(vertices, np.float64), _array(faces, np.int32)
-    if cache is False:
-        return _native.surface_operators(points, triangles, options=options, name=name)
-    folder = Path() if cache is True else Path(cache)
-    if cache is True:
-        folder = default_cache_dir()
-    return _native.cached_surface_operators(
-        points, triangles, options=options, cache_dir=folder, name=name
-    )
+    with progress_bar(progress, f"operators of {name}") as report:
+        if cache is False:
+            return _native.surface_operators(
+                points, triangles, options=options, name=name, progress=report
+            )
+        return _native.cached_surface_operators(
+            points,
+            triangles,
+            options=options,
+            cache_dir=default_cache_dir() if cache is True else Path(cache),
+            name=name,
+            max_bytes=int(max_cache_bytes),
+            progress=report,
+        )
 
 
 def sample_template(
