@@ -265,9 +265,4 @@ Eigenbasis eigenbasis(const SparseMatrix& laplacian, const Eigen::VectorXd& mass
   return basis;
 }
 
-Eigenbasis eigenbasis(const SparseMatrix& laplacian, const Eigen::VectorXd& mass, int64_t k,
-                      double tolerance, const std::string& name) {
-  return eigenbasis(laplacian, mass, EigenbasisOptions{k, tolerance, "auto"}, name);
-}
-
 }  // namespace freetalk::geometry

@@ -53,8 +53,4 @@ Eigenbasis eigenbasis(const SparseMatrix& laplacian, const Eigen::VectorXd& mass
                       const EigenbasisOptions& options = {}, const std::string& name = "mesh",
                       const std::function<void(double)>& progress = {});
 
-/// As above, of `k` pairs.
-Eigenbasis eigenbasis(const SparseMatrix& laplacian, const Eigen::VectorXd& mass, int64_t k,
-                      double tolerance = 1e-6, const std::string& name = "mesh");
-
 }  // namespace freetalk::geometry

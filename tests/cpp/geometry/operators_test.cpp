@@ -24,7 +24,7 @@ using testing::TemporaryFolder;
 
 Eigenbasis basis_of(const Shape& shape, int64_t k) {
   return eigenbasis(cotan_laplacian(shape.vertices, shape.faces),
-                    lumped_mass(shape.vertices, shape.faces), k);
+                    lumped_mass(shape.vertices, shape.faces), {k, 1e-6, "auto"});
 }
 
 TEST(Eigenbasis, OfTheSphereHasEigenvaluesOfItsHarmonics) {
