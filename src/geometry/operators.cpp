@@ -88,8 +88,7 @@ SurfaceOperators expanded(const WeldedSurface& surface, const Eigen::VectorXd& m
   operators.evecs = to_tensor(at_every_vertex(basis.evecs, vertex_of));
   operators.residuals = to_tensor(basis.residuals).squeeze(1);
   operators.normals = to_tensor(at_every_vertex(normals, vertex_of));
-  operators.frames =
-      to_tensor(at_every_vertex(frames, vertex_of)).view({vertex_of.size(), 3, 3});
+  operators.frames = to_tensor(at_every_vertex(frames, vertex_of)).view({vertex_of.size(), 3, 3});
   operators.gradients = to_csr_tensor(gradient);
   operators.gradients_transposed = to_csr_tensor(gradient.transpose());
   return operators;
@@ -160,11 +159,11 @@ SurfaceOperators surface_operators(const Eigen::MatrixXd& vertices, const Eigen:
   const WeldedSurface surface = weld(vertices, faces, options.weld);
   const Eigen::Index welded = surface.vertices.rows();
   FREETALK_CHECK(options.k_eig <= welded, "operators of ", name, " were asked for ", options.k_eig,
-                 " eigenpairs but the mesh has ", welded, " vertices when welded; use k_eig <= ",
-                 welded);
+                 " eigenpairs but the mesh has ", welded,
+                 " vertices when welded; use k_eig <= ", welded);
   const auto [laplacian, mass] = laplacian_by_name(surface.vertices, surface.faces, options);
-  const Eigenbasis basis =
-      eigenbasis(laplacian, mass, {options.k_eig, options.residual_tolerance, "auto"}, name, progress);
+  const Eigenbasis basis = eigenbasis(
+      laplacian, mass, {options.k_eig, options.residual_tolerance, "auto"}, name, progress);
   const Eigen::MatrixXd normals = vertex_normals(surface.vertices, surface.faces);
   const Eigen::MatrixXd frames = tangent_frames(normals);
   const RowSparseMatrix gradient =

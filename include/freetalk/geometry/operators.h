@@ -18,16 +18,16 @@
 namespace freetalk::geometry {
 
 struct OperatorOptions {
-  int64_t k_eig = 128;              // K, number of eigenpairs; 1 .. V
-  // "cotan": as the public diffusion_net; "robust": the tufted Laplacian (see robust_laplacian.h), for
-  // torn and non-manifold meshes, triangle soups and point clouds.
+  int64_t k_eig = 128;  // K, number of eigenpairs; 1 .. V
+  // "cotan": as the public diffusion_net; "robust": the tufted Laplacian (see robust_laplacian.h),
+  // for torn and non-manifold meshes, triangle soups and point clouds.
   std::string laplacian = "cotan";
   // "relative": guards relative to each element's size, so that operators follow a uniform scale
   // exactly; "absolute": the public diffusion_net package's constants (1e-10, 1e-5), which suit
   // meshes of unit size only.
   std::string regularization = "relative";
-  // "none", "coincident" or "fragments": what is joined for the operators alone (see weld.h), so that
-  // texture seams, tears and loose faces do not use eigenpairs up.
+  // "none", "coincident" or "fragments": what is joined for the operators alone (see weld.h), so
+  // that texture seams, tears and loose faces do not use eigenpairs up.
   std::string weld = "fragments";
   double residual_tolerance = 1e-6;  // largest eigen-residual accepted (see eigenbasis.h)
 
@@ -75,8 +75,8 @@ struct SurfaceOperators {
   SurfaceOperators to(at::ScalarType dtype, const c10::Device& device = c10::kCPU) const;
 };
 
-/// Several meshes of any sizes laid one after the other: a block-diagonal batch. Networks take their
-/// values as (B, V_0 + V_1 + ..., C).
+/// Several meshes of any sizes laid one after the other: a block-diagonal batch. Networks take
+/// their values as (B, V_0 + V_1 + ..., C).
 /// @param parts of one mesh each, with the same number of eigenpairs, dtype and device.
 /// @throws std::invalid_argument for none, or parts that differ in eigenpairs.
 SurfaceOperators concatenate(const std::vector<SurfaceOperators>& parts);
@@ -96,8 +96,8 @@ std::filesystem::path default_cache_dir();
 
 /// As surface_operators, kept in `cache_dir`/operators under a key of content, options and version.
 /// Several processes may share the folder: files are written atomically and a damaged one is
-/// computed again. Beyond `max_bytes` the entries unused for longest go, and one larger than that is
-/// not kept. An unwritable folder costs the cache, not the result.
+/// computed again. Beyond `max_bytes` the entries unused for longest go, and one larger than that
+/// is not kept. An unwritable folder costs the cache, not the result.
 /// @param cache_dir empty for default_cache_dir().
 SurfaceOperators cached_surface_operators(const Eigen::MatrixXd& vertices,
                                           const Eigen::MatrixXi& faces,

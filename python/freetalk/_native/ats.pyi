@@ -7,6 +7,7 @@ __all__: list[str] = [
     "AtsImpl",
     "AtsOptions",
     "GenerateOptions",
+    "emotion_track",
     "generate",
     "parse_emotion",
     "window_starts",
@@ -85,6 +86,8 @@ class GenerateOptions:
     audio_guidance: typing.Any
     eta: typing.Any
     num_steps: typing.Any
+    precision: typing.Any
+    sampler: typing.Any
     spacing: typing.Any
     window_overlap: typing.Any
     windows_per_batch: typing.Any
@@ -103,14 +106,27 @@ class GenerateOptions:
         All fields by name.
         """
 
+def emotion_track(
+    text: str,
+    emotions: collections.abc.Sequence[str],
+    *,
+    intensity: typing.SupportsFloat | typing.SupportsIndex,
+    num_frames: typing.SupportsInt | typing.SupportsIndex,
+    fps: typing.SupportsFloat | typing.SupportsIndex,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """
+    Keys such as '0=neutral; 2.5=happy:0.7,surprise:0.3@2.5' to their mixtures (K, E) and intensities (K,), and the weight of each in every frame (T, K).
+    """
+
 def generate(
     model: AtsImpl,
     features: torch.Tensor,
     *,
     emotion: torch.Tensor,
-    intensity: typing.SupportsFloat | typing.SupportsIndex,
+    intensity: torch.Tensor,
+    weight: torch.Tensor | None = None,
     options: GenerateOptions = ...,
-    seed: typing.SupportsInt | typing.SupportsIndex = 0,
+    seeds: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex],
     on_step: ... | None = None,
 ) -> torch.Tensor: ...
 def parse_emotion(text: str, emotions: collections.abc.Sequence[str]) -> torch.Tensor:

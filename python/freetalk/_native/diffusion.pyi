@@ -1,8 +1,15 @@
 from __future__ import annotations
+import collections.abc
 import torch
 import typing
 
-__all__: list[str] = ["DdimOptions", "Schedule", "ScheduleOptions", "ddim_sample", "ddim_timesteps"]
+__all__: list[str] = [
+    "SamplerOptions",
+    "Schedule",
+    "ScheduleOptions",
+    "sample",
+    "sampler_timesteps",
+]
 
 class ScheduleOptions:
     """
@@ -46,21 +53,22 @@ class Schedule:
     @property
     def options(self) -> ScheduleOptions: ...
 
-class DdimOptions:
+class SamplerOptions:
     """
-    DDIM: num_steps, eta, spacing.
+    Reverse process: sampler, num_steps, eta, spacing.
     """
 
     __hash__: typing.ClassVar[None] = None
     eta: typing.Any
     num_steps: typing.Any
+    sampler: typing.Any
     spacing: typing.Any
     @staticmethod
-    def from_dict(arg0: dict) -> DdimOptions:
+    def from_dict(arg0: dict) -> SamplerOptions:
         """
         Options from a mapping; an unknown key is a ValueError naming the nearest known one.
         """
-    def __eq__(self, arg0: DdimOptions) -> bool: ...
+    def __eq__(self, arg0: SamplerOptions) -> bool: ...
     def __getstate__(self) -> tuple[str]: ...
     def __init__(self, **kwargs) -> None: ...
     def __repr__(self) -> str: ...
@@ -70,18 +78,25 @@ class DdimOptions:
         All fields by name.
         """
 
-def ddim_sample(
+def sample(
     schedule: Schedule,
-    denoiser: ...,
+    denoiser: collections.abc.Callable[
+        [torch.Tensor, typing.SupportsInt | typing.SupportsIndex], torch.Tensor
+    ],
     *,
     noise: torch.Tensor,
-    options: DdimOptions = ...,
+    options: SamplerOptions = ...,
     seed: typing.SupportsInt | typing.SupportsIndex = 0,
+    on_step: collections.abc.Callable[
+        [typing.SupportsInt | typing.SupportsIndex, typing.SupportsInt | typing.SupportsIndex], None
+    ]
+    | None = None,
 ) -> torch.Tensor:
     """
-    DDIM from noise with denoiser(x, timestep) -> x0 [Song et al. 2021]; seed: of the noise that eta > 0 adds.
+    Reverse process from noise with denoiser(x, timestep) -> x0; seed: of the noise that stochastic samplers add.
     """
 
-def ddim_timesteps(
-    num_train_steps: typing.SupportsInt | typing.SupportsIndex, options: DdimOptions
-) -> list[int]: ...
+def sampler_timesteps(schedule: Schedule, options: SamplerOptions) -> list[int]:
+    """
+    The timesteps that a sampler visits, falling.
+    """

@@ -11,21 +11,32 @@ import typing
 __all__: list[str] = [
     "AlignOptions",
     "Alignment",
+    "Eigenbasis",
+    "EigenbasisOptions",
+    "FaceOperators",
     "Mesh",
+    "MeshReport",
     "OperatorOptions",
     "Similarity",
     "SurfaceOperators",
     "align_to_template",
     "cached_surface_operators",
+    "concatenate",
     "connected_components",
     "cotan_laplacian",
     "default_cache_dir",
+    "eigenbasis",
     "face_areas",
+    "face_operators",
     "load_mesh",
     "lumped_mass",
+    "mesh_report",
+    "point_cloud_laplacian",
+    "robust_laplacian",
     "sample_surface",
     "save_mesh",
     "surface_operators",
+    "unique_edges",
     "vertex_normals",
 ]
 
@@ -89,6 +100,128 @@ class Mesh:
         self, arg1: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"]
     ) -> None: ...
 
+class MeshReport:
+    """
+    What a mesh is like, defect by defect.
+    """
+    def findings(self) -> list[str]:
+        """
+        One line a finding, worst first.
+        """
+    @property
+    def boundaries(self) -> int:
+        """
+        Rims of boundary edges.
+        """
+    @property
+    def boundary_edges(self) -> int:
+        """
+        Of one polygon.
+        """
+    @property
+    def coincident_vertices(self) -> int:
+        """
+        At the place of an earlier vertex.
+        """
+    @property
+    def duplicate_polygons(self) -> int:
+        """
+        With the vertices of an earlier one.
+        """
+    @property
+    def edges(self) -> int: ...
+    @property
+    def extent(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[3, 1]"]:
+        """
+        (3,) of the referenced vertices, file's unit.
+        """
+    @property
+    def inconsistent_edges(self) -> int:
+        """
+        Whose two polygons turn opposite ways.
+        """
+    @property
+    def larger_polygons(self) -> int:
+        """
+        Of more than three corners.
+        """
+    @property
+    def lines_and_points(self) -> int:
+        """
+        Not kept: no faces.
+        """
+    @property
+    def nonmanifold_edges(self) -> int:
+        """
+        Of three or more.
+        """
+    @property
+    def nonmanifold_vertices(self) -> int:
+        """
+        Where surfaces touch in a point only.
+        """
+    @property
+    def parts(self) -> int:
+        """
+        Connected by common vertices.
+        """
+    @property
+    def polygons(self) -> int: ...
+    @property
+    def repeated_corner_polygons(self) -> int:
+        """
+        That name a vertex twice.
+        """
+    @property
+    def triangles(self) -> int:
+        """
+        After polygons are cut.
+        """
+    @property
+    def unreferenced_vertices(self) -> int:
+        """
+        In no face.
+        """
+    @property
+    def vertices(self) -> int: ...
+    @property
+    def zero_area_triangles(self) -> int: ...
+
+class FaceOperators:
+    """
+    Gradients and Poisson solver on triangles.
+    """
+    @property
+    def areas(self) -> torch.Tensor:
+        """
+        (F,) length^2.
+        """
+    @property
+    def components(self) -> torch.Tensor:
+        """
+        (V,) int64, connected part of each vertex.
+        """
+    @property
+    def faces(self) -> torch.Tensor:
+        """
+        (F, 3) int64.
+        """
+    @property
+    def frames(self) -> torch.Tensor:
+        """
+        (F, 3, 3) rows X, Y, normal.
+        """
+    @property
+    def gradients(self) -> torch.Tensor:
+        """
+        (2F, V) sparse CSR: X, then Y components in the faces' tangent frames.
+        """
+    @property
+    def gradients_transposed(self) -> torch.Tensor:
+        """
+        (V, 2F) sparse CSR.
+        """
+
 class OperatorOptions:
     """
     What is computed of a surface, and how exactly.
@@ -99,6 +232,7 @@ class OperatorOptions:
     laplacian: typing.Any
     regularization: typing.Any
     residual_tolerance: typing.Any
+    weld: typing.Any
     @staticmethod
     def from_dict(arg0: dict) -> OperatorOptions:
         """
@@ -119,6 +253,10 @@ class SurfaceOperators:
     Mass, eigenbasis and gradients of a surface.
     """
     def __repr__(self) -> str: ...
+    def faces(self) -> FaceOperators:
+        """
+        What lives on the faces: gradients and the Poisson solver.
+        """
     def scaled(self, factor: typing.SupportsFloat | typing.SupportsIndex) -> SurfaceOperators:
         """
         Operators of the same surface scaled uniformly.
@@ -167,7 +305,57 @@ class SurfaceOperators:
         (V, 3).
         """
     @property
+    def offsets(self) -> list[int]:
+        """
+        First vertex of each mesh of a batch and the end; empty for one mesh.
+        """
+    @property
     def residuals(self) -> torch.Tensor:
+        """
+        (K,) relative eigen-residuals.
+        """
+
+class EigenbasisOptions:
+    """
+    How many eigenpairs, how exactly, by which solver.
+    """
+
+    __hash__: typing.ClassVar[None] = None
+    k: typing.Any
+    solver: typing.Any
+    tolerance: typing.Any
+    @staticmethod
+    def from_dict(arg0: dict) -> EigenbasisOptions:
+        """
+        Options from a mapping; an unknown key is a ValueError naming the nearest known one.
+        """
+    def __eq__(self, arg0: EigenbasisOptions) -> bool: ...
+    def __getstate__(self) -> tuple[str]: ...
+    def __init__(self, **kwargs) -> None: ...
+    def __repr__(self) -> str: ...
+    def __setstate__(self, arg0: tuple) -> None: ...
+    def to_dict(self) -> dict:
+        """
+        All fields by name.
+        """
+
+class Eigenbasis:
+    """
+    The smallest eigenpairs of a Laplacian.
+    """
+    def __repr__(self) -> str: ...
+    @property
+    def evals(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        (K,) ascending, 1 / length^2.
+        """
+    @property
+    def evecs(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+        """
+        (V, K) mass-orthonormal, 1 / length.
+        """
+    @property
+    def residuals(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
         """
         (K,) relative eigen-residuals.
         """
@@ -281,9 +469,15 @@ def cached_surface_operators(
     cache_dir: os.PathLike | str | bytes = ...,
     name: str = "mesh",
     max_bytes: typing.SupportsInt | typing.SupportsIndex = 4294967296,
+    progress: collections.abc.Callable[[typing.SupportsFloat | typing.SupportsIndex], None] = None,
 ) -> SurfaceOperators:
     """
     Operators of a surface, from the disk cache where they are there.
+    """
+
+def concatenate(parts: collections.abc.Sequence[SurfaceOperators]) -> SurfaceOperators:
+    """
+    Operators of several meshes as one block-diagonal batch.
     """
 
 def connected_components(
@@ -309,6 +503,18 @@ def default_cache_dir() -> pathlib.Path:
     The folder of the disk cache.
     """
 
+def eigenbasis(
+    laplacian: scipy.sparse.csc_matrix,
+    mass: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"],
+    *,
+    options: EigenbasisOptions = ...,
+    name: str = "mesh",
+    progress: collections.abc.Callable[[typing.SupportsFloat | typing.SupportsIndex], None] = None,
+) -> Eigenbasis:
+    """
+    The smallest eigenpairs of L phi = lambda M phi.
+    """
+
 def face_areas(
     vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
     faces: typing.Annotated[numpy.typing.ArrayLike, numpy.int32, "[m, n]"],
@@ -317,9 +523,19 @@ def face_areas(
     (F,) areas.
     """
 
+def face_operators(
+    vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
+    faces: typing.Annotated[numpy.typing.ArrayLike, numpy.int32, "[m, n]"],
+    *,
+    vertex_of: typing.Annotated[numpy.typing.ArrayLike, numpy.int32, "[m, 1]"] = ...,
+) -> FaceOperators:
+    """
+    Gradients on the faces of a mesh and its Poisson solver, float64.
+    """
+
 def load_mesh(path: os.PathLike | str | bytes) -> Mesh:
     """
-    Reads an OBJ, PLY, OFF or STL file.
+    Reads an OBJ, PLY, OFF, STL or glTF file.
     """
 
 def lumped_mass(
@@ -328,6 +544,36 @@ def lumped_mass(
 ) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
     """
     (V,) lumped mass.
+    """
+
+def mesh_report(mesh: Mesh) -> MeshReport:
+    """
+    What a mesh is like, defect by defect.
+    """
+
+def point_cloud_laplacian(
+    points: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
+    *,
+    mollify_factor: typing.SupportsFloat | typing.SupportsIndex = 1e-05,
+    num_neighbors: typing.SupportsInt | typing.SupportsIndex = 30,
+    published_fit: bool = True,
+) -> tuple[
+    scipy.sparse.csc_matrix, typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]
+]:
+    """
+    (V, V) tufted Laplacian of points as a scipy sparse matrix, and (V,) mass.
+    """
+
+def robust_laplacian(
+    vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
+    faces: typing.Annotated[numpy.typing.ArrayLike, numpy.int32, "[m, n]"],
+    *,
+    mollify_factor: typing.SupportsFloat | typing.SupportsIndex = 1e-05,
+) -> tuple[
+    scipy.sparse.csc_matrix, typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]
+]:
+    """
+    (V, V) tufted Laplacian of triangles as a scipy sparse matrix, and (V,) mass.
     """
 
 def sample_surface(
@@ -355,9 +601,15 @@ def surface_operators(
     *,
     options: OperatorOptions = ...,
     name: str = "mesh",
+    progress: collections.abc.Callable[[typing.SupportsFloat | typing.SupportsIndex], None] = None,
 ) -> SurfaceOperators:
     """
     Operators of a surface, computed.
+    """
+
+def unique_edges(faces: torch.Tensor) -> torch.Tensor:
+    """
+    (E, 2) int64 unique undirected edges (i < j) of triangles.
     """
 
 def vertex_normals(

@@ -3,7 +3,7 @@ import freetalk._native.geometry
 import torch
 import typing
 
-__all__: list[str] = ["MeshFeatures", "StmImpl", "StmOptions"]
+__all__: list[str] = ["DecodeOptions", "FrameDecoder", "MeshFeatures", "StmImpl", "StmOptions"]
 
 class StmOptions:
     """
@@ -13,13 +13,16 @@ class StmOptions:
     __hash__: typing.ClassVar[None] = None
     attention_dim: typing.Any
     attention_heads: typing.Any
+    decoder: typing.Any
     decoder_blocks: typing.Any
     decoder_width: typing.Any
     displacement_scale: typing.Any
     dropout: typing.Any
     encoder_blocks: typing.Any
     encoder_width: typing.Any
+    extractor: typing.Any
     feature_dim: typing.Any
+    fusion: typing.Any
     gcn_hidden: typing.Any
     gcn_layers: typing.Any
     index_code_dim: typing.Any
@@ -78,3 +81,43 @@ class StmImpl:
     def options(self) -> StmOptions: ...
     @property
     def training(self) -> bool: ...
+
+class DecodeOptions:
+    """
+    Precision and memory of FrameDecoder.
+    """
+
+    __hash__: typing.ClassVar[None] = None
+    memory_bytes: typing.Any
+    precision: typing.Any
+    @staticmethod
+    def from_dict(arg0: dict) -> DecodeOptions:
+        """
+        Options from a mapping; an unknown key is a ValueError naming the nearest known one.
+        """
+    def __eq__(self, arg0: DecodeOptions) -> bool: ...
+    def __getstate__(self) -> tuple[str]: ...
+    def __init__(self, **kwargs) -> None: ...
+    def __repr__(self) -> str: ...
+    def __setstate__(self, arg0: tuple) -> None: ...
+    def to_dict(self) -> dict:
+        """
+        All fields by name.
+        """
+
+class FrameDecoder:
+    """
+    STM's decoder for many frames of one mesh.
+    """
+    def __init__(
+        self,
+        model: StmImpl,
+        mesh: MeshFeatures,
+        *,
+        operators: freetalk._native.geometry.SurfaceOperators,
+        options: DecodeOptions = ...,
+    ) -> None: ...
+    def decode(self, landmarks: torch.Tensor) -> torch.Tensor:
+        """
+        (T, V, 3) displacements in metres.
+        """

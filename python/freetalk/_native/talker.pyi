@@ -24,6 +24,8 @@ class TalkerOptions:
     intensity: typing.Any
     memory_mb: typing.Any
     num_steps: typing.Any
+    precision: typing.Any
+    sampler: typing.Any
     seed: typing.Any
     unit: typing.Any
     up: typing.Any
@@ -77,6 +79,17 @@ class Talker:
             [str, typing.SupportsFloat | typing.SupportsIndex], None
         ] = None,
     ) -> tuple[freetalk._native.animation.Animation, Report]: ...
+    def animate_many(
+        self,
+        audio: freetalk._native.audio.Audio,
+        mesh: freetalk._native.geometry.Mesh,
+        *,
+        seeds: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex],
+        options: TalkerOptions = ...,
+        progress: collections.abc.Callable[
+            [str, typing.SupportsFloat | typing.SupportsIndex], None
+        ] = None,
+    ) -> tuple[list[freetalk._native.animation.Animation], Report]: ...
     @property
     def device(self) -> str: ...
     @property

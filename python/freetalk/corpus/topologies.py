@@ -285,6 +285,18 @@ TOPOLOGIES: tuple[TopologySpec, ...] = (
         "narrow face, about 1,000 vertices, holes, tears and 0.2 mm noise",
         lambda m: damage(m, decimate(m, _narrow(m), 1000), 5, 0.012, 2e-4, 20, 13),
     ),
+    TopologySpec(
+        "head_torn1800",
+        "train",
+        "face, head and neck, about 1,800 vertices, holes, tears and 0.3 mm noise",
+        lambda m: damage(m, decimate(m, crop(m, "head"), 1800), 8, 0.012, 3e-4, 30, 17),
+    ),
+    TopologySpec(
+        "sockets_torn1700",
+        "train",
+        "head with sockets, about 1,700 vertices, many small holes and tears",
+        lambda m: damage(m, decimate(m, crop(m, "sockets", True), 1700), 14, 0.006, 0.0, 40, 19),
+    ),
     TopologySpec("narrow", "train", "narrow face, original vertices, quads split 0-2", _narrow),
     TopologySpec(
         "sockets_dec5000",

@@ -21,6 +21,7 @@ from freetalk.train.config import AtsTaskOptions, TrainingConfig
 from freetalk.train.features import FeatureCache
 from freetalk.train.initial import initial_weights
 from freetalk.train.losses import motion_counts, motion_loss
+from freetalk.train.mosaic import FloatArray, Mosaics
 from freetalk.train.samples import MeanFace, Sample
 from freetalk.train.sampling import SequenceSampler, numpy_generator
 from freetalk.train.speech_targets import interpolate_frames
@@ -32,9 +33,6 @@ _SAMPLE_STEPS = 25
 _VALIDATION_TIMESTEPS = (0.15, 0.5, 0.85, 1.0)
 #: Smallest spread that a coordinate is divided by, relative to the mean one.
 _SPREAD_FLOOR = 0.15
-#: Inner-lip opening (m) below which the lips are at rest, and frames of a pause that stay at either end.
-_REST_GAP_M = 0.0008
-_PAUSE_MARGIN = 2
 
 
 class AtsTask:
@@ -52,6 +50,7 @@ class AtsTask:
         self._face: MeanFace | None = None
         train = _audible(corpus.sequences("train"))
         self.sampler = SequenceSampler(train, self.options.source_weights)
+        self.mosaics = Mosaics(self.sampler.sequences, self.options.source_weights)
         sources = {s.source for s in self.sampler.sequences}
         self.held_out = [s for s in _audible(corpus.sequences("val")) if s.source in sources]
         encoder = _speech_encoder(self.options, out)
@@ -240,18 +239,20 @@ class AtsTask:
     def _window(
         self, sequence: MotionSequence, rng: np.random.Generator, altered: bool = True
     ) -> dict[str, Any]:
-        copies = self.features.copies(sequence)
-        copy = copies[int(rng.integers(len(copies)))] if altered else copies[0]
+        def piece(source: MotionSequence, frames: int) -> tuple[FloatArray, FloatArray]:
+            copies = self.features.copies(source)
+            copy = copies[int(rng.integers(len(copies)))] if altered else copies[0]
+            start = int(rng.integers(0, max(1, copy.num_frames - frames + 1)))
+            audio = self.features.features(copy, start, start + frames)
+            at = (start + np.arange(len(audio))) * copy.speed
+            first, stop = int(at[0]), int(at[-1]) + 2
+            return audio, interpolate_frames(self.corpus.landmarks(source, first, stop), at - first)
+
         length = self.model_options.max_frames
-        start = int(rng.integers(0, max(1, copy.num_frames - length + 1)))
-        audio = self.features.features(copy, start, start + length)
-        frames = (start + np.arange(len(audio))) * copy.speed
-        first, stop = int(frames[0]), int(frames[-1]) + 2
-        near = self.corpus.landmarks(sequence, first, stop)
-        motion = interpolate_frames(near, frames - first)
-        if altered and rng.random() < self.options.pause_cuts:
-            kept = without_pauses(motion)
-            audio, motion = audio[kept], motion[kept]
+        if altered and rng.random() < self.options.mosaic:
+            audio, motion = self.mosaics.window(sequence, length, piece, rng)
+        else:
+            audio, motion = piece(sequence, length)
         if altered and self.options.feature_noise > 0:
             noise = rng.standard_normal(audio.shape).astype(np.float32)
             audio = audio + self.options.feature_noise * self.features.spread * noise
@@ -308,25 +309,6 @@ class AtsTask:
     def _gap(self, motion: Tensor) -> Tensor:
         metres = (motion * self.spread + self.mean).unflatten(-1, (NUM_LANDMARKS, 3))
         return metres[..., UPPER_INNER_LIP, 1] - metres[..., LOWER_INNER_LIP, 1]
-
-
-def without_pauses(motion: npt.NDArray[np.float32]) -> npt.NDArray[np.intp]:
-    """Frames left when long pauses are shortened, so that separate words become running speech.
-
-    A pause is a run of frames with the lips at rest; it keeps a few frames at either end.
-
-    Args:
-        motion: (T, 68, 3) displacements, m.
-
-    Returns:
-        (S,) rising frame indices, at least two.
-    """
-    resting = np.abs(motion[:, 62, 1] - motion[:, 66, 1]) < _REST_GAP_M
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], resting, [False]]).astype(np.int8)))
-    kept = np.ones(len(motion), dtype=bool)
-    for first, stop in edges.reshape(-1, 2):
-        kept[first + _PAUSE_MARGIN : max(first + _PAUSE_MARGIN, stop - _PAUSE_MARGIN)] = False
-    return np.flatnonzero(kept) if kept.sum() > 1 else np.arange(len(motion))
 
 
 def _audible(sequences: list[MotionSequence]) -> list[MotionSequence]:

@@ -19,7 +19,7 @@ def change_speed(wave: FloatArray, speed: float) -> FloatArray:
 
 
 def augment_wave(wave: FloatArray, rng: np.random.Generator, sample_rate_hz: int) -> FloatArray:
-    """A room, a band limit, noise at 5 to 40 dB and a level, each at times."""
+    """A room, a band limit and noise at 5 to 40 dB, each at times."""
     changed = wave
     if rng.random() < 0.4:
         changed = _reverberated(changed, rng, sample_rate_hz)
@@ -27,8 +27,7 @@ def augment_wave(wave: FloatArray, rng: np.random.Generator, sample_rate_hz: int
         changed = _tilted(changed, rng, sample_rate_hz)
     if rng.random() < 0.7:
         changed = _noisy(changed, rng)
-    gain_db = rng.uniform(-12, 6)
-    return (changed * 10 ** (gain_db / 20)).astype(np.float32)
+    return changed
 
 
 def _reverberated(wave: FloatArray, rng: np.random.Generator, rate: int) -> FloatArray:

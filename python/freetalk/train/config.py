@@ -105,8 +105,8 @@ class AtsTaskOptions:
         audio_dropout: share of the windows that hear nothing, for guidance; 0 is the paper.
         affect_dropout: share of the windows without emotion and intensity, for guidance; 0 is the
             paper.
-        pause_cuts: share of the windows whose long pauses are cut out, which makes running speech
-            of takes of separate words; 0 is the paper.
+        mosaic: share of the windows joined from pieces of several takes of one emotion, so that
+            each is judged by its own sound; 0 is the paper.
         source_weights: share of each source in the batches; others are left out. Empty takes all
             in proportion to their length.
         lambda_velocity: weight of Eq. 15's velocity term.
@@ -124,7 +124,7 @@ class AtsTaskOptions:
     feature_noise: float = 0.0
     audio_dropout: float = 0.0
     affect_dropout: float = 0.0
-    pause_cuts: float = 0.0
+    mosaic: float = 0.0
     source_weights: dict[str, float] = field(default_factory=dict)
     lambda_velocity: float = 0.3
     lambda_acceleration: float = 0.1
@@ -204,9 +204,13 @@ class SpeechTaskOptions:
             installed ones (``open-small``); the teachers' heads start from random ones. Empty
             starts all from random ones.
         crop_s: length of the crops.
+        pieces: a crop joins up to so many pieces of different takes, so that what is heard at one
+            moment is not judged by the rhythm of the whole take.
+        motion_sources: sources whose curves and opening are taught; empty takes all. One recorded
+            speaker is better left out: a few takes would be learnt by heart.
         source_weights: share of each source in the batches. Empty takes all sources in
             proportion to their length.
-        augment: share of the crops whose audio is changed (gain, noise, room, band limits).
+        augment: share of the crops whose audio is changed (level, noise, room, band limits).
         speed_range: largest relative change of speed and pitch.
         phone_weight: weight of the frame-wise phone class.
         mel_weight: weight of the log-mel regression.
@@ -218,6 +222,8 @@ class SpeechTaskOptions:
 
     init: str = ""
     crop_s: float = 5.0
+    pieces: int = 1
+    motion_sources: list[str] = field(default_factory=list)
     source_weights: dict[str, float] = field(default_factory=dict)
     augment: float = 0.7
     speed_range: float = 0.12
@@ -231,6 +237,7 @@ class SpeechTaskOptions:
     def check(self) -> None:
         """Raises ValueError where a value is out of range."""
         _require(self.crop_s >= 1.0, "task.crop_s must be at least 1", self.crop_s)
+        _require(self.pieces >= 1, "task.pieces must be at least 1", self.pieces)
         _require(0 <= self.augment <= 1, "task.augment must be in [0, 1]", self.augment)
 
 
@@ -296,9 +303,9 @@ def load_config(kind: str, path: str | Path, overrides: list[str] | None = None)
     try:
         base = OmegaConf.load(path)
         for override in overrides or []:
-            key, _, value = override.partition("=")
+            option, _, value = override.partition("=")
             if value.strip().startswith("{") or value.strip() == "null":
-                OmegaConf.update(base, key, None, merge=False)
+                OmegaConf.update(base, option, None, merge=False)
         merged = OmegaConf.merge(base, OmegaConf.from_dotlist(overrides or []))
         raw = OmegaConf.to_container(merged, resolve=True)
     except (OmegaConfBaseException, ValueError) as error:
@@ -341,6 +348,8 @@ def _converted(value: Any, wanted: str, where: str) -> Any:
         return value or ""
     if wanted.startswith("dict") and (isinstance(value, dict) or value is None):
         return {str(key): float(item) for key, item in (value or {}).items()}
+    if wanted == "list[str]" and isinstance(value, list):
+        return [str(item) for item in value]
     raise ValueError(f"{where} = {value!r} is no {wanted}")
 
 

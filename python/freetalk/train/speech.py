@@ -47,10 +47,13 @@ class SpeechModel(nn.Module):
         self.motion = nn.Linear(width, len(sources) * (1 + num_curves))
 
     def forward(self, wave: Tensor, source: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Phone logits, log-mels, curves and opening of (B, S) normalised samples."""
+        """Phone logits, log-mels, curves and opening of (B, S) normalised samples.
+
+        `source` (B, S') names the source of each frame, whose head of motion answers.
+        """
         hidden = self.encoder(wave)  # (B, S', C)
         motion = self.motion(hidden).unflatten(-1, (len(self.sources), -1))
-        own = motion[torch.arange(len(source), device=source.device), :, source]
+        own = motion.gather(2, source[..., None, None].expand(-1, -1, 1, motion.shape[-1]))[:, :, 0]
         return self.phones(hidden), self.mels(hidden), own[..., 1:], own[..., 0]
 
 
@@ -112,7 +115,7 @@ class SpeechTask:
                 sums.setdefault("phone_accuracy", []).append(float(hits))
             for name, value in terms.items():
                 sums.setdefault(name, []).append(float(value))
-            for row, source in enumerate(batch["source"].tolist()):
+            for row, source in enumerate(batch["source"][:, 0].tolist()):
                 name = self.sources[source]
                 keep = valid[row]
                 predicted.setdefault(name, []).append(opening[row][keep].float().cpu().numpy())
@@ -157,8 +160,10 @@ class SpeechTask:
         terms = {
             "phones": entropy / count,
             "mels": _mean_square(mels, batch["mels"], valid),
-            "curves": _mean_square(curves, batch["curves"], valid),
-            "opening": _mean_square(opening[..., None], batch["opening"][..., None], valid),
+            "curves": _mean_square(curves, batch["curves"], valid & batch["moving"]),
+            "opening": _mean_square(
+                opening[..., None], batch["opening"][..., None], valid & batch["moving"]
+            ),
         }
         terms["loss"] = (
             o.phone_weight * terms["phones"]
@@ -171,8 +176,34 @@ class SpeechTask:
     def _crop(
         self, sequence: MotionSequence, rng: np.random.Generator, altered: bool = True
     ) -> dict[str, Any]:
+        """A crop that begins with a piece of `sequence`; altered ones join pieces of several."""
+        length = int(self.options.crop_s * self.corpus.sample_rate_hz)
+        halves = np.arange(1, int(2 * self.options.crop_s))  # cuts lie at half seconds
+        most = min(self.options.pieces, len(halves) + 1)
+        count = int(rng.integers(1, most + 1)) if altered else 1
+        cuts = np.sort(rng.choice(halves, count - 1, replace=False)) * (length / (len(halves) + 1))
+        cuts = cuts.astype(int).tolist()
+        frames = self.model.encoder.num_frames(length)
+        centres = (self._timing.offset_s + np.arange(frames) / self._timing.rate_hz) * (
+            self.corpus.sample_rate_hz
+        )
+        pieces = []
+        for first, stop in zip([0, *cuts], [*cuts, length], strict=True):
+            inside = centres[(centres >= first) & (centres < stop)] - first
+            pieces.append(self._piece(sequence, stop - first, inside, rng, altered))
+            sequence = self.sampler.draw(rng)
+        return {key: np.concatenate([piece[key] for piece in pieces]) for key in pieces[0]}
+
+    def _piece(
+        self,
+        sequence: MotionSequence,
+        length: int,
+        centres: npt.NDArray[np.floating],
+        rng: np.random.Generator,
+        altered: bool,
+    ) -> dict[str, npt.NDArray[Any]]:
+        """`length` samples of a sequence, and the targets at the samples `centres` of it."""
         rate = self.corpus.sample_rate_hz
-        length = int(self.options.crop_s * rate)
         reach = self.options.speed_range if altered else 0.0
         speed = 1.0 + rng.uniform(-reach, reach)
         source = self._wave(sequence)
@@ -184,31 +215,32 @@ class SpeechTask:
         clean = np.pad(clean, (0, length - heard))
         wave = clean
         if altered and rng.random() < self.options.augment:
+            gain = np.float32(10 ** (rng.uniform(-9, 6) / 20))
+            clean = clean * gain
             wave = augment_wave(clean, rng, rate)
-        frames = self.model.encoder.num_frames(length)
-        times = self._timing.offset_s + np.arange(frames) / self._timing.rate_hz
-        at_source = (start / rate + times * speed).astype(np.float32)
+        at_source = (start / rate + centres / rate * speed).astype(np.float32)
         curves, opening = self.targets.motion_at(sequence, at_source)
-        inside = (times * rate < heard) & (at_source * self.corpus.fps < sequence.num_frames)
+        taught = self.options.motion_sources
+        moving = not taught or sequence.source in taught
         return {
             "wave": wave,
             "clean": clean,
             "phones": self.targets.phones_at(sequence, at_source),
             "curves": curves,
             "opening": opening,
-            "valid": inside,
-            "source": self.sources.index(sequence.source),
+            "valid": (centres < heard) & (at_source * self.corpus.fps < sequence.num_frames),
+            "moving": np.full(len(centres), moving),
+            "source": np.full(len(centres), self.sources.index(sequence.source)),
         }
 
     def _stack(self, items: list[dict[str, Any]]) -> dict[str, Any]:
         batch: dict[str, Any] = {
             key: torch.from_numpy(np.stack([item[key] for item in items])).to(self.device)
-            for key in ("phones", "curves", "opening", "valid")
+            for key in ("phones", "curves", "opening", "valid", "moving", "source")
         }
         wave = torch.from_numpy(np.stack([item["wave"] for item in items])).to(self.device)
         clean = torch.from_numpy(np.stack([item["clean"] for item in items])).to(self.device)
         batch["wave"] = normalize_wave(wave)
-        batch["source"] = torch.tensor([item["source"] for item in items], device=self.device)
         batch["mels"] = log_mel(
             normalize_wave(clean),
             batch["phones"].shape[1],

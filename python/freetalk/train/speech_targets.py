@@ -63,6 +63,8 @@ class SpeechTargets:
         self, sequence: MotionSequence, times_s: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Standardised curves (T, num_curves) and opening (T,) at each time."""
+        if len(times_s) == 0:
+            return np.zeros((0, self.num_curves), np.float32), np.zeros(0, np.float32)
         frames = np.clip(times_s * self.corpus.fps, 0, sequence.num_frames - 1)
         first, last = int(frames[0]), min(int(frames[-1]) + 2, sequence.num_frames)
         weights = self.corpus.weights(sequence, first, last)[:, self._columns]

@@ -1,0 +1,68 @@
+"""Windows joined from pieces of several takes that show the same emotion.
+
+A whole take tells by its rhythm where it comes from (separate words, running speech, a synthetic voice), and a
+denoiser that sees the whole window learns to answer in that source's manner. In a mosaic a piece has to be judged by
+its own sound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from freetalk.data import MotionSequence
+from freetalk.train.sampling import SequenceSampler
+
+FloatArray = npt.NDArray[np.float32]
+#: Features (T, C) and motion (T, 68, 3) of a piece of at most the given number of frames.
+Piece = Callable[[MotionSequence, int], tuple[FloatArray, FloatArray]]
+
+_SHORTEST, _LONGEST = 24, 80  # frames of a piece
+_FADE = 4  # frames over which one piece becomes the next
+
+
+class Mosaics:
+    """Joins pieces of takes of one emotion, intensity and frame rate.
+
+    Args:
+        sequences: candidates.
+        source_weights: share of each source, as for :class:`SequenceSampler`.
+    """
+
+    def __init__(
+        self, sequences: Sequence[MotionSequence], source_weights: dict[str, float]
+    ) -> None:
+        groups: dict[tuple[int, float, float], list[MotionSequence]] = {}
+        for sequence in sequences:
+            groups.setdefault(_kind(sequence), []).append(sequence)
+        self._samplers = {}
+        for kind, own in groups.items():
+            present = {s.source for s in own}
+            weights = {name: w for name, w in source_weights.items() if name in present and w > 0}
+            self._samplers[kind] = SequenceSampler(own, weights)
+
+    def window(
+        self, first: MotionSequence, frames: int, piece: Piece, rng: np.random.Generator
+    ) -> tuple[FloatArray, FloatArray]:
+        """Features (frames, C) and motion (frames, 68, 3) that begin with a piece of `first`."""
+        sampler = self._samplers[_kind(first)]
+        audio, motion = piece(first, int(rng.integers(_SHORTEST, _LONGEST)))
+        while len(audio) < frames:
+            more = piece(sampler.draw(rng), int(rng.integers(_SHORTEST, _LONGEST)))
+            audio, motion = faded(audio, more[0]), faded(motion, more[1])
+        return audio[:frames], motion[:frames]
+
+
+def _kind(sequence: MotionSequence) -> tuple[int, float, float]:
+    return sequence.emotion, sequence.intensity, sequence.fps
+
+
+def faded(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Two pieces (T, ...) and (S, ...) as one, the end of the first fading into the second."""
+    overlap = min(_FADE, len(before), len(after))
+    share = (np.arange(overlap, dtype=np.float32) + 1) / (overlap + 1)
+    share = share.reshape((-1,) + (1,) * (before.ndim - 1))
+    joint = before[len(before) - overlap :] * (1 - share) + after[:overlap] * share
+    return np.concatenate([before[: len(before) - overlap], joint, after[overlap:]])
