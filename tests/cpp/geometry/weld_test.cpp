@@ -105,7 +105,8 @@ TEST(SurfaceOperators, OfATornSurfaceKeepTheSpectrumOfTheWholeOne) {
   EXPECT_LT(products.abs().max().item<double>(), 1e-6);
   options.weld = "none";
   const SurfaceOperators apart = surface_operators(broken.vertices, broken.faces, options);
-  EXPECT_LT(apart.evals.max().item<double>(), 1e-6);  // nothing but the zeros of loose faces
+  // Nothing but the zeros of loose faces, up to the solver's residual; the sphere's own begin at 2.
+  EXPECT_LT(apart.evals.max().item<double>(), 1e-4);
 }
 
 TEST(SurfaceOperators, OfATornSurfaceDifferentiateAcrossTheTear) {
