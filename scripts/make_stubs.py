@@ -6,6 +6,7 @@ Run it after changing python/bindings, with the native module built:  .venv/bin/
 from __future__ import annotations
 
 import argparse
+import re
 import shutil
 import subprocess
 import sys
@@ -25,10 +26,23 @@ def generate(out: Path) -> None:
             check=True,
         )
         made = Path(folder) / "freetalk" / "_native"
+        for stub in made.rglob("*.pyi"):
+            stub.write_text(with_callbacks(stub.read_text()))
         ruff = [sys.executable, "-m", "ruff", "format", "--config", ROOT / "pyproject.toml", made]
         subprocess.run(ruff, check=True)
         shutil.rmtree(out, ignore_errors=True)
         shutil.copytree(made, out)
+
+
+def with_callbacks(text: str) -> str:
+    """Callbacks are given plain numbers, and those that may be left out may be None."""
+
+    def plain(found: re.Match[str]) -> str:
+        numbers = re.sub(r"typing\.SupportsFloat \| typing\.SupportsIndex", "float", found[0])
+        return re.sub(r"typing\.SupportsInt \| typing\.SupportsIndex", "int", numbers)
+
+    text = re.sub(r"Callable\[\[[^\]]*\]", plain, text)
+    return re.sub(r"(Callable\[\[[^\]]*\], [^\]]*\]) = None", r"\1 | None = None", text)
 
 
 def main() -> None:

@@ -235,7 +235,7 @@ def test_train_passes_everything_on(
     config.write_text("model: {}\n")
     arguments = ["--config", config, "--data", tmp_path, "--out", out, "loop.max_steps=7"]
     assert main(["train", "stm", *map(str, arguments)]) == 0
-    assert seen == ["stm", str(config), ["loop.max_steps=7"], str(tmp_path), str(out)]
+    assert seen == ["stm", str(config), ["loop.max_steps=7"], [str(tmp_path)], str(out)]
     assert "finished at step 7: loss 0.25" in capsys.readouterr().out
 
 

@@ -288,7 +288,7 @@ def test_nasty_meshes_are_read_checked_and_animated(
                 vertices, mesh.faces, k=k, cache=False, laplacian=laplacian, name=name
             )
         except (ValueError, RuntimeError) as problem:
-            assert "one_place" in name, problem  # the only one that is no surface
+            assert "one_place" in name or "needles" in name, problem  # no surface, or hardly one
             assert name in str(problem)
             continue
         assert "one_place" not in name

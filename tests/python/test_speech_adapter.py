@@ -95,7 +95,7 @@ def test_cache_reads_what_it_wrote(
     cache = FeatureCache(encoder, tmp_path)
     first = cache.encode(samples, 30)
     assert torch.equal(first, speech.encode_speech(encoder, samples, 30))
-    monkeypatch.setattr("freetalk.speech_cache.encode_speech", None)  # a call would fail
+    monkeypatch.setattr("freetalk.speech.cache.encode_speech", None)  # a call would fail
     assert torch.equal(cache.encode(samples.numpy(), 30), first)
     assert len(list(tmp_path.iterdir())) == 1
 

@@ -80,17 +80,12 @@ class SamplerOptions:
 
 def sample(
     schedule: Schedule,
-    denoiser: collections.abc.Callable[
-        [torch.Tensor, typing.SupportsInt | typing.SupportsIndex], torch.Tensor
-    ],
+    denoiser: collections.abc.Callable[[torch.Tensor, int], torch.Tensor],
     *,
     noise: torch.Tensor,
     options: SamplerOptions = ...,
     seed: typing.SupportsInt | typing.SupportsIndex = 0,
-    on_step: collections.abc.Callable[
-        [typing.SupportsInt | typing.SupportsIndex, typing.SupportsInt | typing.SupportsIndex], None
-    ]
-    | None = None,
+    on_step: collections.abc.Callable[[int, int], None] | None = None,
 ) -> torch.Tensor:
     """
     Reverse process from noise with denoiser(x, timestep) -> x0; seed: of the noise that stochastic samplers add.

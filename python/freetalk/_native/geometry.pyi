@@ -469,7 +469,7 @@ def cached_surface_operators(
     cache_dir: os.PathLike | str | bytes = ...,
     name: str = "mesh",
     max_bytes: typing.SupportsInt | typing.SupportsIndex = 4294967296,
-    progress: collections.abc.Callable[[typing.SupportsFloat | typing.SupportsIndex], None] = None,
+    progress: collections.abc.Callable[[float], None] | None = None,
 ) -> SurfaceOperators:
     """
     Operators of a surface, from the disk cache where they are there.
@@ -509,7 +509,7 @@ def eigenbasis(
     *,
     options: EigenbasisOptions = ...,
     name: str = "mesh",
-    progress: collections.abc.Callable[[typing.SupportsFloat | typing.SupportsIndex], None] = None,
+    progress: collections.abc.Callable[[float], None] | None = None,
 ) -> Eigenbasis:
     """
     The smallest eigenpairs of L phi = lambda M phi.
@@ -601,7 +601,7 @@ def surface_operators(
     *,
     options: OperatorOptions = ...,
     name: str = "mesh",
-    progress: collections.abc.Callable[[typing.SupportsFloat | typing.SupportsIndex], None] = None,
+    progress: collections.abc.Callable[[float], None] | None = None,
 ) -> SurfaceOperators:
     """
     Operators of a surface, computed.

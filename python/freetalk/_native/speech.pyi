@@ -177,8 +177,7 @@ def encode_speech(
     fps: typing.SupportsFloat | typing.SupportsIndex | None,
     *,
     options: EncodeOptions,
-    progress: collections.abc.Callable[[typing.SupportsFloat | typing.SupportsIndex], None]
-    | None = None,
+    progress: collections.abc.Callable[[float], None] | None = None,
     layer_weights: torch.Tensor | None = None,
 ) -> torch.Tensor: ...
 def hubert_base() -> SpeechEncoderOptions:

@@ -75,9 +75,7 @@ class Talker:
         audio: freetalk._native.audio.Audio,
         mesh: freetalk._native.geometry.Mesh,
         options: TalkerOptions = ...,
-        progress: collections.abc.Callable[
-            [str, typing.SupportsFloat | typing.SupportsIndex], None
-        ] = None,
+        progress: collections.abc.Callable[[str, float], None] | None = None,
     ) -> tuple[freetalk._native.animation.Animation, Report]: ...
     def animate_many(
         self,
@@ -86,9 +84,7 @@ class Talker:
         *,
         seeds: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex],
         options: TalkerOptions = ...,
-        progress: collections.abc.Callable[
-            [str, typing.SupportsFloat | typing.SupportsIndex], None
-        ] = None,
+        progress: collections.abc.Callable[[str, float], None] | None = None,
     ) -> tuple[list[freetalk._native.animation.Animation], Report]: ...
     @property
     def device(self) -> str: ...

@@ -26,7 +26,7 @@ def download(arguments: argparse.Namespace) -> None:
     out = Path(arguments.out) if arguments.out else None
     if out is not None:
         check_writable(out / "config.json")
-    from freetalk.speech_checkpoint import download_encoder
+    from freetalk.speech.checkpoint import download_encoder
 
     folder = download_encoder(arguments.name, out)
     megabytes = (folder / "model.safetensors").stat().st_size / 1e6

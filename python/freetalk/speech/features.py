@@ -10,7 +10,7 @@ from torch import Tensor
 
 from freetalk import _native
 from freetalk._native.speech import EncodeOptions, FrameTiming, stream_options
-from freetalk.speech_encoder import SpeechEncoder
+from freetalk.speech.encoder import SpeechEncoder
 
 
 def normalize_wave(wave: Tensor, mask: Tensor | None = None) -> Tensor:

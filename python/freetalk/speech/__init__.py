@@ -21,11 +21,11 @@ from freetalk._native.speech import (
     wav2vec2_large,
     wav2vec2_large_lv60,
 )
-from freetalk.speech_adapter import FeatureAdapter
-from freetalk.speech_cache import FeatureCache
-from freetalk.speech_checkpoint import convert_checkpoint
-from freetalk.speech_encoder import SpeechEncoder
-from freetalk.speech_features import (
+from freetalk.speech.adapter import FeatureAdapter
+from freetalk.speech.cache import FeatureCache
+from freetalk.speech.checkpoint import convert_checkpoint
+from freetalk.speech.encoder import SpeechEncoder
+from freetalk.speech.features import (
     SpeechStream,
     encode_speech,
     normalize_wave,

@@ -14,8 +14,8 @@ from torch import Tensor
 
 from freetalk import _native
 from freetalk._native.speech import EncodeOptions
-from freetalk.speech_encoder import SpeechEncoder
-from freetalk.speech_features import encode_speech
+from freetalk.speech.encoder import SpeechEncoder
+from freetalk.speech.features import encode_speech
 
 _VERSION = "1"  # of what encode_speech computes
 

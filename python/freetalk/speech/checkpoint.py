@@ -13,8 +13,8 @@ from typing import Any
 import torch
 
 from freetalk import _native
-from freetalk.speech_cache import default_directory
-from freetalk.speech_encoder import SpeechEncoder
+from freetalk.speech.cache import default_directory
+from freetalk.speech.encoder import SpeechEncoder
 
 PUBLISHED = {
     "hubert-base-ls960": "facebook/hubert-base-ls960",

@@ -9,8 +9,8 @@ from torch import Tensor, nn
 
 from freetalk import _native
 from freetalk._native.speech import EncodeOptions
-from freetalk.speech_encoder import SpeechEncoder
-from freetalk.speech_features import encode_speech
+from freetalk.speech.encoder import SpeechEncoder
+from freetalk.speech.features import encode_speech
 
 TRAINED = ("none", "transformer", "all")
 
