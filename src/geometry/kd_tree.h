@@ -3,7 +3,7 @@
 
 #include <Eigen/Core>
 
-#include <vector>
+#include "kd_order.h"
 
 namespace freetalk::geometry {
 
@@ -31,13 +31,11 @@ class KdTree {
     int best;
   };
 
-  void build(int begin, int end);
   void search(int begin, int end, Query& query) const;
 
   Eigen::Matrix3Xd points_;
   Eigen::Matrix3Xd normals_;
-  std::vector<int> order_;  // A balanced tree in place: the middle of a range splits it.
-  std::vector<unsigned char> axis_;
+  KdOrder order_;
 };
 
 }  // namespace freetalk::geometry

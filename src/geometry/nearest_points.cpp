@@ -3,50 +3,25 @@
 #include <ATen/Parallel.h>
 
 #include <algorithm>
-#include <numeric>
 #include <utility>
 #include <vector>
+
+#include "kd_order.h"
 
 namespace freetalk::geometry {
 namespace {
 
-/// A k-d tree in place: the middle of a range splits it along its widest axis.
 class Tree {
  public:
-  explicit Tree(const Eigen::MatrixXd& points)
-      : points_(points.transpose()),
-        order_(static_cast<size_t>(points.rows())),
-        axis_(order_.size()) {
-    std::iota(order_.begin(), order_.end(), 0);
-    build(0, static_cast<int>(order_.size()));
-  }
+  explicit Tree(const Eigen::MatrixXd& points) : points_(points.transpose()), order_(points_) {}
 
   /// Fills `best` (empty) with the `count` nearest of `index`, as (squared distance, index).
   void nearest(int index, size_t count, std::vector<std::pair<double, int>>& best) const {
-    search(0, static_cast<int>(order_.size()), index, count, best);
+    search(0, static_cast<int>(order_.points.size()), index, count, best);
     std::sort_heap(best.begin(), best.end());
   }
 
  private:
-  static constexpr int kLeafSize = 8;
-
-  void build(int begin, int end) {
-    if (end - begin <= kLeafSize) return;
-    Eigen::Vector3d low = points_.col(order_[begin]), high = low;
-    for (int i = begin; i < end; ++i) {
-      low = low.cwiseMin(points_.col(order_[i]));
-      high = high.cwiseMax(points_.col(order_[i]));
-    }
-    int axis = 0;
-    (high - low).maxCoeff(&axis);
-    const int middle = (begin + end) / 2;
-    std::nth_element(order_.begin() + begin, order_.begin() + middle, order_.begin() + end,
-                     [&](int a, int b) { return points_(axis, a) < points_(axis, b); });
-    axis_[middle] = static_cast<unsigned char>(axis);
-    build(begin, middle);
-    build(middle + 1, end);
-  }
-
   void visit(int other, int index, size_t count, std::vector<std::pair<double, int>>& best) const {
     if (other == index) return;
     const std::pair<double, int> found{(points_.col(other) - points_.col(index)).squaredNorm(),
@@ -62,14 +37,14 @@ class Tree {
 
   void search(int begin, int end, int index, size_t count,
               std::vector<std::pair<double, int>>& best) const {
-    if (end - begin <= kLeafSize) {
-      for (int i = begin; i < end; ++i) visit(order_[i], index, count, best);
+    if (end - begin <= KdOrder::leaf) {
+      for (int i = begin; i < end; ++i) visit(order_.points[i], index, count, best);
       return;
     }
     const int middle = (begin + end) / 2;
-    const int axis = axis_[middle];
-    const double side = points_(axis, index) - points_(axis, order_[middle]);
-    visit(order_[middle], index, count, best);
+    const int axis = order_.axis[middle];
+    const double side = points_(axis, index) - points_(axis, order_.points[middle]);
+    visit(order_.points[middle], index, count, best);
     const auto half = [&](bool lower) {
       lower ? search(begin, middle, index, count, best)
             : search(middle + 1, end, index, count, best);
@@ -79,8 +54,7 @@ class Tree {
   }
 
   Eigen::Matrix3Xd points_;
-  std::vector<int> order_;
-  std::vector<unsigned char> axis_;
+  KdOrder order_;
 };
 
 }  // namespace

@@ -81,7 +81,9 @@ SurfaceOperators expanded(const WeldedSurface& surface, const Eigen::VectorXd& m
                           const Eigen::MatrixXd& frames, const RowSparseMatrix& welded_gradient) {
   const Eigen::VectorXi& vertex_of = surface.vertex_of;
   const Eigen::VectorXd share = shares(vertex_of, surface.vertices.rows());
-  const RowSparseMatrix gradient = at_every_vertex(welded_gradient, vertex_of, share);
+  const bool as_it_is = vertex_of.size() == surface.vertices.rows();
+  const RowSparseMatrix gradient =
+      as_it_is ? welded_gradient : at_every_vertex(welded_gradient, vertex_of, share);
   SurfaceOperators operators;
   operators.mass = to_tensor(Eigen::MatrixXd(mass(vertex_of).cwiseProduct(share))).squeeze(1);
   operators.evals = to_tensor(basis.evals).squeeze(1);
@@ -109,8 +111,7 @@ void OperatorOptions::check() const {
                  "\"");
   FREETALK_CHECK(residual_tolerance > 0.0, "residual_tolerance must be positive, found ",
                  residual_tolerance);
-  FREETALK_CHECK(weld == "none" || weld == "coincident" || weld == "fragments",
-                 "weld must be \"none\", \"coincident\" or \"fragments\", found \"", weld, "\"");
+  check_weld(weld);
 }
 
 SurfaceOperators SurfaceOperators::scaled(double factor) const {

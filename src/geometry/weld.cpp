@@ -150,10 +150,14 @@ WeldedSurface lay_onto(const WeldedSurface& surface, const std::vector<char>& ke
 
 }  // namespace
 
-WeldedSurface weld(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
-                   const std::string& mode) {
+void check_weld(const std::string& mode) {
   FREETALK_CHECK(mode == "none" || mode == "coincident" || mode == "fragments",
                  "weld must be \"none\", \"coincident\" or \"fragments\", found \"", mode, "\"");
+}
+
+WeldedSurface weld(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
+                   const std::string& mode) {
+  check_weld(mode);
   if (mode == "none") {
     return {vertices, faces,
             Eigen::VectorXi::LinSpaced(vertices.rows(), 0, static_cast<int>(vertices.rows()) - 1)};

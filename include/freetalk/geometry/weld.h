@@ -16,6 +16,9 @@ struct WeldedSurface {
   Eigen::VectorXi vertex_of;  ///< (V,) welded vertex of each original one, onto 0 .. W - 1
 };
 
+/// @throws std::invalid_argument for another mode than those of weld().
+void check_weld(const std::string& mode);
+
 /// Welds a surface.
 ///
 /// "coincident": vertices at the same position become one, unless that would close a mouth or an

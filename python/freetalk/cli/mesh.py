@@ -31,10 +31,19 @@ def check(arguments: argparse.Namespace) -> None:
     for finding in findings:
         print(f"    {finding}")
     if report.zero_area_triangles < report.triangles:
-        print(f"  pose: {_pose(arguments, np.asarray(mesh.vertices), np.asarray(mesh.faces))}")
+        alignment = align(arguments, np.asarray(mesh.vertices), np.asarray(mesh.faces))
+        print(f"  pose: {alignment.summary}")
 
 
-def _pose(arguments: argparse.Namespace, vertices: Any, faces: Any) -> str:
+def align(arguments: argparse.Namespace, vertices: Any, faces: Any) -> Any:
+    """Finds unit and pose against the template of the weights, as the command's options say.
+
+    Returns:
+        The alignment that `freetalk.geometry.align_to_template` gives.
+
+    Raises:
+        ValueError: no such weights.
+    """
     import freetalk.geometry
     from freetalk import _native
 
@@ -42,7 +51,7 @@ def _pose(arguments: argparse.Namespace, vertices: Any, faces: Any) -> str:
     tensors = _native.core.load_safetensors(
         check_readable(str(template), "weights with a template")
     )
-    alignment: Any = freetalk.geometry.align_to_template(
+    return freetalk.geometry.align_to_template(
         vertices,
         faces,
         tensors["points"],
@@ -51,5 +60,3 @@ def _pose(arguments: argparse.Namespace, vertices: Any, faces: Any) -> str:
         up=arguments.up,
         forward=arguments.forward,
     )
-    summary: str = alignment.summary
-    return summary

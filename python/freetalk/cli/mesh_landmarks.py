@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from freetalk.cli.mesh import align
 from freetalk.cli.outputs import check_readable, check_writable
-from freetalk.cli.weights import find_weights
 
 _GROUPS = (
     ("jaw", 0, 17),
@@ -32,27 +32,14 @@ def run(arguments: argparse.Namespace) -> None:
     outputs = [Path(arguments.out)] + [Path(p) for p in (arguments.picture,) if p is not None]
     for path in outputs:
         check_writable(path)
-    import freetalk.geometry
-    from freetalk import _native
+    import freetalk
     from freetalk.corpus.assets import EXTENTS, crop_quads, load_face_model, triangulate
     from freetalk.data import read_landmarks
     from freetalk.data.landmark_transfer import LinearFace, propose_landmarks, region_masks
 
     mesh: Any = freetalk.load_mesh(file)
     faces = np.asarray(mesh.faces)
-    template = find_weights(arguments.pretrained) / "template.safetensors"
-    tensors = _native.core.load_safetensors(
-        check_readable(str(template), "weights with a template")
-    )
-    alignment: Any = freetalk.geometry.align_to_template(
-        mesh.vertices,
-        faces,
-        tensors["points"],
-        tensors["normals"],
-        unit=arguments.unit,
-        up=arguments.up,
-        forward=arguments.forward,
-    )
+    alignment = align(arguments, mesh.vertices, faces)
     print(f"{file}: {alignment.summary}")
     vertices = alignment.to_canonical.apply(np.asarray(mesh.vertices))
     model, count = load_face_model(), EXTENTS["face"]

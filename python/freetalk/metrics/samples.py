@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import torch
@@ -48,11 +49,7 @@ def diversity_vertex(
     Raises:
         ValueError: shapes do not fit, or fewer than two samples.
     """
-    tensors, single = batched(floats(samples), flags(valid), dims=5)
-    result: torch.Tensor = _native.metrics.diversity_vertex(
-        tensors[0], vertices=mask(vertices), valid=tensors[1]
-    )
-    return result[0] if single else result
+    return _scored(_native.metrics.diversity_vertex, samples, vertices=vertices, valid=valid)
 
 
 def lve_mean_estimate(
@@ -72,11 +69,9 @@ def lve_mean_estimate(
     Raises:
         ValueError: shapes do not fit.
     """
-    tensors, single = batched(floats(samples), floats(target), flags(valid), dims=5)
-    result: torch.Tensor = _native.metrics.lve_mean_estimate(
-        tensors[0], tensors[1], vertices=mask(vertices), valid=tensors[2]
+    return _scored(
+        _native.metrics.lve_mean_estimate, samples, target, vertices=vertices, valid=valid
     )
-    return result[0] if single else result
 
 
 def lve_coverage(
@@ -90,8 +85,16 @@ def lve_coverage(
     Raises:
         ValueError: shapes do not fit.
     """
-    tensors, single = batched(floats(samples), floats(target), flags(valid), dims=5)
-    result: torch.Tensor = _native.metrics.lve_coverage(
-        tensors[0], tensors[1], vertices=mask(vertices), valid=tensors[2]
-    )
+    return _scored(_native.metrics.lve_coverage, samples, target, vertices=vertices, valid=valid)
+
+
+def _scored(
+    metric: Callable[..., torch.Tensor],
+    *motions: Array,
+    vertices: Array | None,
+    valid: Array | None,
+) -> torch.Tensor:
+    """Calls a metric of the native room on motions, the first of them (N, K, T, V, 3) or one less."""
+    tensors, single = batched(*map(floats, motions), flags(valid), dims=5)
+    result = metric(*tensors[:-1], vertices=mask(vertices), valid=tensors[-1])
     return result[0] if single else result
