@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import soundfile as sf
 
-from freetalk.corpus import assets, build_corpus, curves, emotion, plan, rest
+from freetalk.corpus import assets, build_corpus, curves, emotion, plan, rest, running
 from freetalk.corpus.lips import LIMIT_M, Lips
 from freetalk.corpus.phones import BILABIALS, LABIODENTALS
 
@@ -86,7 +86,7 @@ def test_layout_is_consistent(corpus: Path, manifest: dict[str, Any]) -> None:
             assert info.frames == round(sequence["num_frames"] * 16000 / 30)
     assert ends[-1] == len(landmarks)
     assert {s["source"] for s in manifest["sequences"]} == {
-        "synthetic", "emodb", "facegood", "rom", "rest",
+        "synthetic", "emodb", "facegood", "rom", "rest", "running",
     }  # fmt: skip
     assert not list(corpus.parent.glob(".*partial"))
 
@@ -105,6 +105,42 @@ def test_no_split_shares_speech(size: str) -> None:
         assert not variants[0] & variants[1]
     assert {j.take for j in jobs if j.split == "test" and j.source == "facegood"} == {"1114_3_15"}
     assert "1114_3_15" not in {j.take for j in jobs if j.split != "test"}
+    joined = [j for j in jobs if j.source == "running"]
+    held = {(take, split): (a, b) for take, split, a, b in plan.take_spans()}
+    for job in joined:
+        for part in job.parts:
+            if part.take:
+                first, last = held[part.take, job.split]  # no part of another split's frames
+                assert first <= part.start < part.stop <= last
+    assert {j.split for j in joined} == {"train", "val"}
+
+
+def test_running_speech_opens_the_mouth_where_its_parts_did() -> None:
+    rng = np.random.default_rng(3)
+    take = assets.load_take("1114_2_01")
+    per_frame = 16000 / 30
+    spans = running.voiced_spans(take, [(0, 600)], per_frame)
+    voiced = sum(stop - start for start, stop in spans)
+    assert 0.2 * 600 < voiced < 0.8 * 600  # separate words: voice and pauses
+    parts = running.draw_parts(rng, [("1114_2_01", a, b) for a, b in spans], 300)
+    clock = np.arange(len(take.curves), dtype=np.float32)[
+        :, None
+    ]  # each frame's number as its motion
+    given = [
+        (p, take.audio[round(p.start * per_frame) : round(p.stop * per_frame)], clock[p.start : p.stop])
+        for p in parts
+    ]  # fmt: skip
+    audio, motion = running.joined(given, rng, per_frame)
+    assert len(motion) >= 300 and abs(len(audio) - len(motion) * per_frame) < len(parts) + 1
+    at = 0
+    for part in parts:  # away from the joints a part is played from its first frame to its last
+        inside = motion[at + 2 : at + part.num_frames - 2, 0]
+        if part.take and len(inside):
+            assert part.start <= inside.min() and inside.max() <= part.stop - 1
+            assert (np.diff(inside) > 0).all()
+        elif not part.take:
+            assert (inside == 0).all()
+        at += part.num_frames - 2
 
 
 def test_identities_and_topologies_have_their_splits(manifest: dict[str, Any]) -> None:

@@ -23,6 +23,7 @@ from freetalk.corpus.sequences import FPS, SAMPLE_RATE_HZ, Job, Made, Maker, voi
 
 FORMAT = "freetalk-open-corpus"
 VERSION = 1
+CONTENTS = 2  # rises when the same size and seed give other sequences
 CHUNK = 12
 CHUNK_TIMEOUT_S = 900
 PROCESSES = 2
@@ -74,7 +75,13 @@ def _is_complete(out: Path, size: str, seed: int) -> bool:
         manifest = json.loads((out / "manifest.json").read_text())
     except (OSError, ValueError):
         return False
-    wanted = {"format": FORMAT, "version": VERSION, "size": size, "seed": seed}
+    wanted = {
+        "format": FORMAT,
+        "version": VERSION,
+        "contents": CONTENTS,
+        "size": size,
+        "seed": seed,
+    }
     return all(manifest.get(key) == value for key, value in wanted.items())
 
 
@@ -119,6 +126,7 @@ def _write(work: Path, size: str, seed: int, progress: bool) -> None:
     manifest = {
         "format": FORMAT,
         "version": VERSION,
+        "contents": CONTENTS,
         "size": size,
         "seed": seed,
         "fps": FPS,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from freetalk.corpus import emotion, speech
+from freetalk.corpus import emotion, running, speech
 from freetalk.corpus.assets import (
     SPEAKERS,
     TEST_TAKES,
@@ -38,14 +38,26 @@ class Size:
     rom_captured: int | None
     rom_combined: tuple[int, int, int]
     rest: tuple[int, int, int]
+    running: tuple[int, int, int]
     identities: tuple[int, int, int]
 
 
 SIZES = {
-    "tiny": Size((7, 2, 3), 1, 1, 1, 1, 1, (1, 1, 1), (1, 1, 1), (6, 2, 2)),
-    "small": Size((1000, 50, 80), 2, None, 2, None, None, (52, 4, 4), (32, 2, 4), (80, 8, 12)),
+    "tiny": Size((7, 2, 3), 1, 1, 1, 1, 1, (1, 1, 1), (1, 1, 1), (1, 1, 0), (6, 2, 2)),
+    "small": Size(
+        (1000, 50, 80), 2, None, 2, None, None, (52, 4, 4), (32, 2, 4), (400, 8, 0), (80, 8, 12)
+    ),
     "full": Size(
-        (4000, 150, 240), 5, None, 4, None, None, (200, 12, 12), (80, 6, 8), (200, 16, 24)
+        (4000, 150, 240),
+        5,
+        None,
+        4,
+        None,
+        None,
+        (200, 12, 12),
+        (80, 6, 8),
+        (1200, 16, 0),
+        (200, 16, 24),
     ),
 }
 SPLITS = ("train", "val", "test")
@@ -115,24 +127,51 @@ def cut_at_pauses(take: str, start: int, stop: int) -> list[tuple[int, int]]:
     return [*pieces, (start, stop)]
 
 
+def take_spans() -> Iterator[tuple[str, str, int, int]]:
+    """(take, split, first frame, last frame) of the captured takes; the end of one is for validation."""
+    for take in TRAIN_TAKES + TEST_TAKES:
+        frames = len(load_take(take).curves)
+        held = int(0.85 * frames) if take == TRAIN_TAKES[-1] else frames
+        yield take, take_split(take), 0, held
+        if held < frames:
+            yield take, "val", held, frames
+
+
 def facegood_jobs(size: Size, seed: int) -> Iterator[Job]:
     """Captured takes: every piece as captured and with emotions laid over it, sharing one audio file."""
     rng = np.random.default_rng([seed, 2])
-    for number, take in enumerate(TRAIN_TAKES + TEST_TAKES):
-        frames = len(load_take(take).curves)
-        held = int(0.85 * frames) if take == TRAIN_TAKES[-1] else frames
-        spans = [(take_split(take), 0, held)] + ([("val", held, frames)] if held < frames else [])
-        for split, start, stop in spans:
-            pieces = cut_at_pauses(take, start, stop)[: size.facegood_limit]
-            for i, (first, last) in enumerate(pieces):
-                audio = f"audio/facegood_{take}_{split}_{i:03d}.flac"
-                for variant in range(1 + size.facegood_variants):
-                    label, intensity = draw_emotion(rng, 0.0) if variant else ("neutral", 1.0)
-                    yield Job(
-                        f"facegood_{take}_{split}_{i:03d}_{variant}", split, "facegood",
-                        (seed, 2, number, first, variant), take=take, start_frame=first, num_frames=last - first,
-                        emotion=label, intensity=intensity, audio=audio, writes_audio=variant == 0,
-                    )  # fmt: skip
+    for take, split, start, stop in take_spans():
+        number = (TRAIN_TAKES + TEST_TAKES).index(take)
+        pieces = cut_at_pauses(take, start, stop)[: size.facegood_limit]
+        for i, (first, last) in enumerate(pieces):
+            audio = f"audio/facegood_{take}_{split}_{i:03d}.flac"
+            for variant in range(1 + size.facegood_variants):
+                label, intensity = draw_emotion(rng, 0.0) if variant else ("neutral", 1.0)
+                yield Job(
+                    f"facegood_{take}_{split}_{i:03d}_{variant}", split, "facegood",
+                    (seed, 2, number, first, variant), take=take, start_frame=first, num_frames=last - first,
+                    emotion=label, intensity=intensity, audio=audio, writes_audio=variant == 0,
+                )  # fmt: skip
+
+
+def running_jobs(size: Size, seed: int) -> Iterator[Job]:
+    """Running speech joined from the voiced parts of the captured takes of the same split."""
+    voiced: dict[str, list[tuple[str, int, int]]] = {}
+    for name, split, start, stop in take_spans():
+        pieces = cut_at_pauses(name, start, stop)[: size.facegood_limit]
+        spans = running.voiced_spans(load_take(name), pieces, SAMPLES_PER_FRAME)
+        voiced.setdefault(split, []).extend((name, first, last) for first, last in spans)
+    for which, (split, count) in enumerate(zip(SPLITS, size.running, strict=True)):
+        for i in range(count):
+            rng = np.random.default_rng([seed, 7, which, i])
+            label, intensity = draw_emotion(rng, 0.5)
+            frames = int(rng.uniform(4.0, MAX_SECONDS) * FPS)
+            name = f"running_{split}_{i:04d}"
+            yield Job(
+                name, split, "running", (seed, 7, which, i), num_frames=frames, emotion=label,
+                intensity=intensity, parts=running.draw_parts(rng, voiced[split], frames),
+                audio=f"audio/{name}.flac",
+            )  # fmt: skip
 
 
 EMODB_EMOTIONS = {
@@ -211,7 +250,7 @@ def all_jobs(size: Size, seed: int) -> list[Job]:
     """Every sequence of a corpus, in the order of its arrays."""
     jobs = [
         job
-        for make in (synthetic_jobs, facegood_jobs, emodb_jobs, rom_jobs, rest_jobs)
+        for make in (synthetic_jobs, facegood_jobs, emodb_jobs, rom_jobs, rest_jobs, running_jobs)
         for job in make(size, seed)
     ]
     said = {split: {j.text for j in jobs if j.text and j.split == split} for split in SPLITS}

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import soundfile as sf
 
-from freetalk.corpus import curves, emotion, rest, speech, visemes
+from freetalk.corpus import curves, emotion, rest, running, speech, visemes
 from freetalk.corpus.assets import (
     Array,
     FaceModel,
@@ -45,6 +45,7 @@ class Job:
     writes_audio: bool = True
     clips: tuple[str, ...] = ()
     speaker: str | None = None
+    parts: tuple[running.Part, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,7 @@ class Maker:
             "emodb": self._emodb,
             "rom": self._rom,
             "rest": self._rest,
+            "running": self._running,
         }
         made = makers[job.source](job, rng)
         return replace(made, weights=np.clip(made.weights, 0, 1).astype(np.float32))
@@ -193,6 +195,17 @@ class Maker:
         first, last = (int(round(f * SAMPLES_PER_FRAME)) for f in (job.start_frame, stop))
         self._write(job, fit_audio(take.audio[first:last], job.num_frames))
         return Made(job, self._finish(job, all_weights[job.start_frame : stop], rng))
+
+    def _running(self, job: Job, rng: np.random.Generator) -> Made:
+        """Voiced parts of captured takes, joined."""
+        parts = []
+        for part in job.parts:
+            take, weights = self._take(part.take or job.parts[0].take)
+            first, last = (round(f * SAMPLES_PER_FRAME) for f in (part.start, part.stop))
+            parts.append((part, take.audio[first:last], weights[part.start : part.stop]))
+        audio, weights = running.joined(parts, rng, SAMPLES_PER_FRAME)
+        self._write(job, recorded(fit_audio(audio, job.num_frames), rng))
+        return Made(job, self._finish(job, weights[: job.num_frames], rng))
 
     def _rom(self, job: Job, rng: np.random.Generator) -> Made:
         if job.take:

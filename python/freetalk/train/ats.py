@@ -253,9 +253,13 @@ class AtsTask:
             audio, motion = self.mosaics.window(sequence, length, piece, rng)
         else:
             audio, motion = piece(sequence, length)
-        if altered and self.options.feature_noise > 0:
-            noise = rng.standard_normal(audio.shape).astype(np.float32)
-            audio = audio + self.options.feature_noise * self.features.spread * noise
+        for amount, shape in (
+            (self.options.feature_noise, audio.shape),
+            (self.options.feature_shift, audio.shape[-1:]),
+        ):
+            if altered and amount > 0:
+                noise = rng.standard_normal(shape).astype(np.float32)
+                audio = audio + amount * self.features.spread * noise
         return {
             "audio": audio,
             "motion": motion.reshape(len(motion), -1),

@@ -101,7 +101,10 @@ class AtsTaskOptions:
         feature_cache: folder of the computed speech features; empty takes ``OUT/cache``.
         feature_augmentations: extra copies of the features from changed audio (noise, room,
             band limits, speed).
-        feature_noise: noise added to the features, relative to their standard deviation.
+        feature_noise: noise added to the features of each frame, relative to their standard
+            deviation.
+        feature_shift: noise that is the same in all frames of a window, likewise: what a speaker
+            or a room adds to the features.
         audio_dropout: share of the windows that hear nothing, for guidance; 0 is the paper.
         affect_dropout: share of the windows without emotion and intensity, for guidance; 0 is the
             paper.
@@ -122,6 +125,7 @@ class AtsTaskOptions:
     feature_cache: str = ""
     feature_augmentations: int = 0
     feature_noise: float = 0.0
+    feature_shift: float = 0.0
     audio_dropout: float = 0.0
     affect_dropout: float = 0.0
     mosaic: float = 0.0
@@ -208,6 +212,8 @@ class SpeechTaskOptions:
             moment is not judged by the rhythm of the whole take.
         motion_sources: sources whose curves and opening are taught; empty takes all. One recorded
             speaker is better left out: a few takes would be learnt by heart.
+        recordings: alignments of recorded speech that ``freetalk speech align`` wrote; they teach
+            phones alone and are the source ``recorded``.
         source_weights: share of each source in the batches. Empty takes all sources in
             proportion to their length.
         augment: share of the crops whose audio is changed (level, noise, room, band limits).
@@ -224,6 +230,7 @@ class SpeechTaskOptions:
     crop_s: float = 5.0
     pieces: int = 1
     motion_sources: list[str] = field(default_factory=list)
+    recordings: list[str] = field(default_factory=list)
     source_weights: dict[str, float] = field(default_factory=dict)
     augment: float = 0.7
     speed_range: float = 0.12
