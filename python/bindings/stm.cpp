@@ -3,6 +3,7 @@
 #include <torch/extension.h>
 
 #include "bind_module.h"
+#include "freetalk/stm/attention.h"
 #include "freetalk/stm/frame_decoder.h"
 
 namespace py = pybind11;
@@ -21,6 +22,7 @@ void bind_stm(py::module_& m) {
       .def("encode", &fs::StmImpl::encode, py::arg("positions"), py::arg("operators"), release)
       .def("decode", &fs::StmImpl::decode, py::arg("mesh"), py::arg("operators"),
            py::arg("landmarks"), release)
+      .def("attention", &fs::attention, py::arg("mesh"), py::arg("landmarks"), release)
       .def("frames_per_chunk", &fs::StmImpl::frames_per_chunk, py::arg("num_vertices"),
            py::arg("memory_bytes"));
   freetalk::bindings::bind_options<fs::DecodeOptions>(m, "DecodeOptions",

@@ -61,13 +61,28 @@ class Stm(NativeModule):
         """Vertex displacements (T, V, 3) in metres from ``encode``'s result."""
         return self._impl.decode(mesh, operators, landmarks)
 
+    def attention(self, mesh: _native.stm.MeshFeatures, landmarks: torch.Tensor) -> torch.Tensor:
+        """How much each vertex looks at each landmark [FreeTalk, Eq. 13-14; supp. Fig. 2].
+
+        Args:
+            mesh: ``encode``'s result.
+            landmarks: (T, 68, 3) displacements in metres.
+
+        Returns:
+            (T, heads, V, 68) weights; each row over the landmarks sums to one.
+
+        Raises:
+            ValueError: the fusion ``concat`` does not attend, or the shapes do not fit.
+        """
+        return self._impl.attention(mesh, landmarks)
+
     def frame_decoder(
         self,
         mesh: _native.stm.MeshFeatures,
         operators: _native.geometry.SurfaceOperators,
         *,
         precision: str = "float32",
-        memory_bytes: int = 128 << 20,
+        memory_bytes: int = 256 << 20,
     ) -> FrameDecoder:
         """A fast ``decode`` without gradients for many frames of one mesh.
 

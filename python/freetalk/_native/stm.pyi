@@ -54,6 +54,7 @@ class MeshFeatures:
 
 class StmImpl:
     def __init__(self, options: StmOptions) -> None: ...
+    def attention(self, mesh: MeshFeatures, landmarks: torch.Tensor) -> torch.Tensor: ...
     def decode(
         self,
         mesh: MeshFeatures,
