@@ -325,6 +325,14 @@ def _add_speech(commands: Any) -> None:
     parser.add_argument("source", metavar="SOURCE", help="pytorch_model.bin, or its folder")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder to write")
     parser.add_argument("--half", action="store_true", help="store float16")
+    from freetalk.cli.speech_options import add_align, add_probe
+
+    add_align(_command(nested, "align", "speech_labels:align", "phone timings of recorded English"))
+    parser = _command(
+        nested, "probe", "speech_labels:probe", "how well an encoder tells viseme classes apart"
+    )
+    add_probe(parser)
+    _add_pretrained(parser)
 
 
 def _add_view(commands: Any) -> None:

@@ -140,6 +140,20 @@ def speak(text: str, voice: Voice) -> tuple[Array, list[Phone]]:
     return audio.astype(np.float32), merge(phones)
 
 
+def pronounce(word: str) -> list[str]:
+    """ARPABET of an English word as espeak-ng says it, pauses left out.
+
+    Raises:
+        RuntimeError: espeak-ng is not installed, or says nothing.
+    """
+    _, events = _espeak().speak(word, Voice("espeak", "en-us"))
+    labels = [label for _, mnemonic in events for label in espeak_label(mnemonic)]
+    labels = [label for label in labels if label != "sil"]
+    if not labels:
+        raise RuntimeError(f"espeak-ng has no pronunciation of {word!r}")
+    return labels
+
+
 def _espeak_phones(events: list[tuple[int, str]], rate_hz: int, duration_s: float) -> list[Phone]:
     starts = [sample / rate_hz for sample, _ in events]
     phones = [Phone(0.0, min(starts[0], duration_s), "sil")] if starts else []

@@ -22,6 +22,7 @@ from freetalk.train.augment import augment_wave, change_speed
 from freetalk.train.checkpoint import export_model
 from freetalk.train.config import SpeechTaskOptions, TrainingConfig
 from freetalk.train.sampling import SequenceSampler, numpy_generator
+from freetalk.train.speech_recordings import RECORDED, Recordings
 from freetalk.train.speech_targets import IGNORED_PHONE, SpeechTargets, log_mel
 
 _VALIDATION_SEED = 20
@@ -68,9 +69,11 @@ class SpeechTask:
         self.corpus = corpus
         self.batch_size = config.loop.batch_size
         self.device = device
+        self.recordings = Recordings(self.options.recordings, corpus.fps)
         heard = [s for s in corpus.sequences("train") if s.audio is not None]
+        heard += self.recordings.sequences
         self.sampler = SequenceSampler(heard, self.options.source_weights)
-        self.targets = SpeechTargets(corpus, self.sampler.sequences)
+        self.targets = SpeechTargets(corpus, self.sampler.sequences, self.recordings)
         self.sources = sorted({s.source for s in self.sampler.sequences})
         self.held_out = [
             s for s in corpus.sequences("val") if s.audio is not None and s.source in self.sources
@@ -221,7 +224,7 @@ class SpeechTask:
         at_source = (start / rate + centres / rate * speed).astype(np.float32)
         curves, opening = self.targets.motion_at(sequence, at_source)
         taught = self.options.motion_sources
-        moving = not taught or sequence.source in taught
+        moving = (not taught or sequence.source in taught) and sequence.source != RECORDED
         return {
             "wave": wave,
             "clean": clean,
@@ -266,8 +269,11 @@ class SpeechTask:
 
     def _wave(self, sequence: MotionSequence) -> npt.NDArray[np.int16]:
         if sequence.id not in self._audio:
-            samples = np.clip(self.corpus.audio(sequence), -1.0, 1.0)
-            self._audio[sequence.id] = np.round(samples * 32767).astype(np.int16)
+            recorded = sequence.source == RECORDED
+            samples = (self.recordings if recorded else self.corpus).audio(sequence)
+            self._audio[sequence.id] = np.round(np.clip(samples, -1.0, 1.0) * 32767).astype(
+                np.int16
+            )
         return self._audio[sequence.id]
 
     @torch.no_grad()

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from freetalk.data import MotionSequence, OpenCorpus, lip_opening
+from freetalk.train.speech_recordings import RECORDED, Recordings
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -19,13 +20,28 @@ IGNORED_PHONE = -100
 
 
 class SpeechTargets:
-    """Targets of a corpus at any time of a sequence, standardised over the train split."""
+    """Targets of a corpus, and of recordings beside it, at any time of a sequence.
 
-    def __init__(self, corpus: OpenCorpus, sequences: Sequence[MotionSequence]) -> None:
+    Curves and opening are standardised over the train split of the corpus. Aligned recordings know no schwa, their
+    dictionary writes AH; with them AX counts as AH.
+    """
+
+    def __init__(
+        self,
+        corpus: OpenCorpus,
+        sequences: Sequence[MotionSequence],
+        recordings: Recordings | None = None,
+    ) -> None:
         self.corpus = corpus
-        labels = {label for s in sequences for _, _, label in corpus.phones(s)}
-        self.phones: list[str] = sorted(labels | {"sil"})
-        self._phone_index = {label: i for i, label in enumerate(self.phones)}
+        self.recordings = recordings or Recordings([], corpus.fps)
+        labels = {label for s in sequences for _, _, label in self._intervals(s)}
+        merged = {"AX": "AH"} if self.recordings.sequences else {}
+        self.phones: list[str] = sorted({merged.get(label, label) for label in labels} | {"sil"})
+        index = {label: i for i, label in enumerate(self.phones)}
+        self._phone_index = {label: index[merged.get(label, label)] for label in labels | {"sil"}}
+        sequences = [s for s in sequences if s.source != RECORDED]
+        if not sequences:
+            raise ValueError("recordings alone teach no motion: give a source of the corpus too")
         mouth = [
             i
             for i, name in enumerate(corpus.expressions)
@@ -47,7 +63,7 @@ class SpeechTargets:
 
     def phones_at(self, sequence: MotionSequence, times_s: FloatArray) -> npt.NDArray[np.int64]:
         """Phone index at each time; ``IGNORED_PHONE`` where the sequence has no phones."""
-        intervals = self.corpus.phones(sequence)
+        intervals = self._intervals(sequence)
         if not intervals:
             return np.full(len(times_s), IGNORED_PHONE, dtype=np.int64)
         starts = np.array([start for start, _, _ in intervals])
@@ -62,9 +78,10 @@ class SpeechTargets:
     def motion_at(
         self, sequence: MotionSequence, times_s: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Standardised curves (T, num_curves) and opening (T,) at each time."""
-        if len(times_s) == 0:
-            return np.zeros((0, self.num_curves), np.float32), np.zeros(0, np.float32)
+        """Standardised curves (T, num_curves) and opening (T,) at each time; zeros for recordings."""
+        if len(times_s) == 0 or sequence.source == RECORDED:
+            count = len(times_s)
+            return np.zeros((count, self.num_curves), np.float32), np.zeros(count, np.float32)
         frames = np.clip(times_s * self.corpus.fps, 0, sequence.num_frames - 1)
         first, last = int(frames[0]), min(int(frames[-1]) + 2, sequence.num_frames)
         weights = self.corpus.weights(sequence, first, last)[:, self._columns]
@@ -75,6 +92,10 @@ class SpeechTargets:
             curves.astype(np.float32),
             ((gap - self._opening_mean) / self._opening_spread).astype(np.float32),
         )
+
+    def _intervals(self, sequence: MotionSequence) -> list[tuple[float, float, str]]:
+        heard = self.recordings if sequence.source == RECORDED else self.corpus
+        return heard.phones(sequence)
 
 
 def interpolate_frames(values: FloatArray, frames: npt.NDArray[np.floating]) -> FloatArray:
