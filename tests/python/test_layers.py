@@ -36,7 +36,8 @@ PYTHON_LAYERS: dict[str, int] = {
     "data": 1,
     "train": 2,
     "evaluate": 3,
-    "cli": 4,
+    "tables": 4,
+    "cli": 5,
 }
 # Upward uses that are meant: imported inside a function, only when that function is asked for.
 ON_DEMAND = {("animation", "viz")}  # Animation.save("talk.mp4")

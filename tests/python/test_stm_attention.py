@@ -13,7 +13,10 @@ from freetalk.stm import Stm
 SMALL = {
     **dict.fromkeys(("encoder_width", "decoder_width", "feature_dim"), 16),
     **dict.fromkeys(("gcn_hidden", "index_code_dim", "attention_dim"), 16),
-    **{"encoder_blocks": 1, "decoder_blocks": 1, "attention_heads": 2, "k_eig": 8},
+    "encoder_blocks": 1,
+    "decoder_blocks": 1,
+    "attention_heads": 2,
+    "k_eig": 8,
 }
 
 

@@ -1,0 +1,95 @@
+"""The command line of ``scripts/table_*.py``."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from freetalk.data import parse_spec
+from freetalk.tables.definitions import TABLES, Recipes
+from freetalk.tables.report import write_results
+from freetalk.tables.sets import Catalogue
+from freetalk.tables.sizes import SIZES
+from freetalk.tables.table import TableRun
+from freetalk.tables.training import StoppedError
+
+
+def main(name: str, arguments: Sequence[str] | None = None) -> int:
+    """Makes a table row by row; a call that was killed is called again and goes on.
+
+    Args:
+        name: a key of ``freetalk.tables.definitions.TABLES``.
+        arguments: of the command line; ``None``: the process's.
+
+    Returns:
+        Exit status: 0, or 130 where a training was stopped.
+    """
+    given = _parser(name).parse_args(arguments)
+    size = SIZES[given.size]
+    catalogue = Catalogue(given.data, size.families)
+    recipes = Recipes(size, given.seed, given.overrides)
+    table = TABLES[name](recipes, given.settings)
+    run = TableRun(table, catalogue, given.work / size.name, given.speech, size.sampler)
+    try:
+        rows = run.rows(given.rows)
+    except StoppedError as error:
+        print(f"{error}; the same command goes on from there", file=sys.stderr)
+        return 130
+    folders = [(label, Path(path)) for label, _, path in map(parse_spec, given.pred)]
+    rows += run.predictions(folders)
+    command = f"python scripts/table_{name.removeprefix('table_')}.py"
+    typed = list(sys.argv[1:] if arguments is None else arguments)
+    written = write_results(
+        table,
+        rows,
+        size,
+        catalogue,
+        given.out,
+        f"{command} {shlex.join(typed)}".strip(),
+        given.seed,
+    )
+    print("\n".join(str(path) for path in written))
+    return 0
+
+
+def _parser(name: str) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog=f"table_{name.removeprefix('table_')}.py",
+        description=(TABLES[name].__doc__ or "").splitlines()[0],
+        epilog="Rows are stored one by one below --work; the same command goes on where it was stopped.",
+    )
+    parser.add_argument(
+        "--data",
+        action="append",
+        required=True,
+        metavar="[NAME=]DIR",
+        help="the open corpus, or EmoVOCA=, MEAD-EMOTE=, VOCASET=, BIWI=, Multiface=DIR; repeatable",
+    )
+    parser.add_argument("--size", choices=tuple(SIZES), default="small")
+    parser.add_argument("--out", type=Path, default=Path("results/open"), help="where results go")
+    parser.add_argument(
+        "--work", type=Path, default=Path("build/tables"), help="trainings and rows, to go on from"
+    )
+    parser.add_argument("--rows", nargs="*", default=[], help="only these rows")
+    parser.add_argument(
+        "--settings",
+        nargs="*",
+        default=[],
+        help="tables 2 and 3: other rows, as '1,2,4,5+3,4,5'; radius: other radii",
+    )
+    parser.add_argument(
+        "--pred",
+        action="append",
+        default=[],
+        metavar="NAME=DIR",
+        help="another system's predictions of the test clips; repeatable",
+    )
+    parser.add_argument("--speech", default="", help="folder of the speech encoder")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "overrides", nargs="*", help="stm.section.key=value and ats.section.key=value"
+    )
+    return parser

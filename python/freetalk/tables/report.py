@@ -1,0 +1,300 @@
+"""A table's results as Markdown, JSON and a plot."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from freetalk import metrics
+from freetalk.evaluate.tables import number
+from freetalk.tables.claims import judge
+from freetalk.tables.plot import draw
+from freetalk.tables.scoring import pooling_of, title_of, unit_of
+from freetalk.tables.sets import Catalogue
+from freetalk.tables.sizes import Size
+from freetalk.tables.table import RowResult, Table
+from freetalk.train.checkpoint import git_commit, write_json
+
+FORMAT = "freetalk-table"
+ALL = "all"
+_DIGITS = 5
+
+
+def write_results(
+    table: Table,
+    rows: Sequence[RowResult],
+    size: Size,
+    catalogue: Catalogue,
+    out: Path,
+    command: str,
+    seed: int,
+) -> list[Path]:
+    """Writes ``NAME.json``, ``NAME.md`` and ``NAME.png`` and returns their paths."""
+    result = make_result(table, rows, size, catalogue, command, seed)
+    out.mkdir(parents=True, exist_ok=True)
+    paths = [out / f"{table.name}.{ending}" for ending in ("json", "md", "png")]
+    write_json(paths[0], result)
+    paths[1].write_text(markdown(result))
+    draw(result, paths[2])
+    return paths
+
+
+def make_result(
+    table: Table,
+    rows: Sequence[RowResult],
+    size: Size,
+    catalogue: Catalogue,
+    command: str,
+    seed: int,
+) -> dict[str, Any]:
+    """Everything that the files say: what was run, pooled scores with intervals, verdicts, scores of clips."""
+    printed = {row.name: row.paper for row in table.rows}
+    groups = (ALL,) if table.pooled else table.tests
+    verdicts = judge(table.claims, {row["name"]: row for row in rows}, table.repeats, seed)
+    return {
+        "format": FORMAT,
+        "version": 1,
+        "table": table.name,
+        "title": table.title,
+        "size": size.name,
+        "seed": seed,
+        "command": command,
+        "commit": git_commit(),
+        "data": catalogue.describe(),
+        "is_open": catalogue.is_open,
+        "tests": list(table.tests),
+        "clips": asdict(table.view),
+        "notes": list(table.notes),
+        "repeats": list(table.repeats),
+        "metrics": [
+            {"metric": name, "title": title_of(name), "unit": unit_of(name)}
+            for name in table.metrics
+        ],
+        "groups": list(groups),
+        "rows": [
+            {
+                "name": row["name"],
+                "paper": {k: dict(v) for k, v in printed.get(row["name"], {}).items()},
+                "trainings": row["trainings"],
+                "commit": row.get("commit"),
+                "predictions": row.get("predictions"),
+                "scores": {group: _pooled(row, group, table.metrics, seed) for group in groups},
+                "clips": _rounded(row["scores"]),
+            }
+            for row in rows
+        ],
+        "claims": [verdict.to_dict() for verdict in verdicts],
+    }
+
+
+def markdown(result: Mapping[str, Any]) -> str:
+    """The table for people to read; ends with the paper's claims and what became of them."""
+    parts = [f"# {result['title']}", _heading(result)]
+    for group in result["groups"]:
+        name = "" if group == ALL else f"## Tested on {group}\n\n"
+        parts.append(name + _scores(result, group))
+    parts.append(f"![{result['title']}]({result['table']}.png)")
+    parts.append("## Trainings\n\n" + _trainings(result))
+    parts.append("## Claims of the paper\n\n" + _claims(result))
+    return "\n\n".join(parts) + "\n"
+
+
+def _heading(result: Mapping[str, Any]) -> str:
+    data = [f"{name}: {source}" for name, source in result["data"].items()]
+    where = (
+        "**Different data:** parts of the open corpus stand for the paper's datasets, so compare rows with one "
+        "another, not with the paper's numbers, which stand beside them."
+        if result["is_open"]
+        else "The paper's numbers stand beside ours; splits and masks may differ."
+    )
+    lines = [
+        where,
+        f"- command: `{result['command']}`",
+        f"- size {result['size']}, seed {result['seed']}, commit {result['commit'][:12]}; rows have one "
+        "seed and one number of steps",
+        f"- data: {'; '.join(data)}",
+        f"- scored on {', '.join(result['tests'])}: test split, faces and meshings that no row was trained on"
+        if result["is_open"]
+        else f"- scored on {', '.join(result['tests'])}: test split",
+        "- [low, high]: 95 % bootstrap interval (BCa) over test clips; lower is better, FDD nearer to 0",
+        *(f"- {note}" for note in result["notes"]),
+    ]
+    return lines[0] + "\n\n" + "\n".join(lines[1:])
+
+
+def _scores(result: Mapping[str, Any], group: str) -> str:
+    shown = result["metrics"]
+    header = ["row", *(f"{m['title']}{_unit(m['unit'])}" for m in shown)]
+    single = _single_paper_metric(result, group)
+    if single:
+        header.append(f"paper's {single['title']} (other data)")
+    best = _best(result, group)
+    lines = []
+    for row in result["rows"]:
+        scores = row["scores"][group]
+        cells = [row["name"]]
+        for m in shown:
+            text = _interval(scores.get(m["metric"]))
+            cells.append(f"**{text}**" if best.get(m["metric"]) == row["name"] else text)
+        paper = row["paper"].get(group, {})
+        if single:
+            value = paper.get(single["metric"])
+            cells.append("" if value is None else f"{value:g}")
+        lines.append(cells)
+        if paper and not single:
+            own = [paper.get(m["metric"]) for m in shown]
+            lines.append(["*paper, other data*", *("" if v is None else f"*{v:g}*" for v in own)])
+    return _grid(header, lines)
+
+
+def _trainings(result: Mapping[str, Any]) -> str:
+    lines = []
+    for row in result["rows"]:
+        for one in row["trainings"]:
+            clips = _clips(one["data"])
+            lines.append(
+                [
+                    row["name"],
+                    one["kind"],
+                    ", ".join(one["sets"]),
+                    f"{clips}",
+                    f"{one['steps']}",
+                    f"{one['parameters']:,}",
+                    f"`{' '.join([one['config'], *one['overrides']])}`",
+                ]
+            )
+        if row["predictions"]:
+            lines.append([row["name"], "predictions", "", "", "", "", f"`{row['predictions']}`"])
+    header = ["row", "stage", "datasets", "clips", "steps", "parameters", "configuration"]
+    return _grid(header, lines)
+
+
+def _claims(result: Mapping[str, Any]) -> str:
+    if not result["claims"]:
+        return "The rows that the paper compares are not all here."
+    lines = [
+        [
+            claim["claim"],
+            claim["source"],
+            f"**{claim['outcome']}**",
+            f"{_percent(claim['difference'])} [{_percent(claim['low'])}, {_percent(claim['high'])}]",
+            "" if claim["margin"] else f"{max(claim['p_value'], 1e-4):.2g}",
+            f"{claim['clips']}",
+        ]
+        for claim in result["claims"]
+    ]
+    header = ["claim", "in the paper", "here", "difference", "p", "clips"]
+    spread = max(claim["seed_spread"] for claim in result["claims"])
+    seeds = (
+        f"Intervals include what another seed changes, as measured on {', '.join(result['repeats'])}: a standard "
+        f"deviation of up to {100 * spread:.1f} % of a row's mean."
+        if spread > 0
+        else "Each row is one training: intervals do not include what another seed changes."
+    )
+    footer = (
+        "Difference: of the first from the second, relative to the second, paired by clip, with its 95 % "
+        "interval. A claim held where the whole interval is on its side. p: permutation test over clips, "
+        f"Holm-corrected over the table. {seeds}"
+    )
+    return _grid(header, lines) + "\n\n" + textwrap.fill(footer, 110)
+
+
+def _pooled(
+    row: RowResult, group: str, names: Sequence[str], seed: int
+) -> dict[str, dict[str, Any]]:
+    found = {}
+    for name in names:
+        values, weights = [], []
+        for test, scores in row["scores"].items():
+            if group in (ALL, test):
+                own = scores["values"].get(name, {})
+                values += list(own.values())
+                by_frames = pooling_of(name) == "frames"
+                weights += [float(scores["frames"][clip]) if by_frames else 1.0 for clip in own]
+        if values:
+            interval = metrics.bootstrap_mean(values, weights, seed=seed)
+            several = len(values) > 1
+            found[name] = {
+                "mean": interval.mean,
+                "low": interval.low if several else None,
+                "high": interval.high if several else None,
+                "clips": len(values),
+            }
+    return found
+
+
+def _rounded(scores: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        test: {
+            "frames": own["frames"],
+            "values": {
+                metric: {clip: float(f"{value:.{_DIGITS}g}") for clip, value in values.items()}
+                for metric, values in own["values"].items()
+            },
+        }
+        for test, own in scores.items()
+    }
+
+
+def _single_paper_metric(result: Mapping[str, Any], group: str) -> dict[str, str] | None:
+    """The one metric that the paper prints, where it prints one: it gets a column instead of rows."""
+    named = {m for row in result["rows"] for m in row["paper"].get(group, {})}
+    if len(named) != 1:
+        return None
+    return next(dict(m) for m in result["metrics"] if m["metric"] in named)
+
+
+def _best(result: Mapping[str, Any], group: str) -> dict[str, str]:
+    best = {}
+    for m in result["metrics"]:
+        means = {
+            row["name"]: abs(row["scores"][group][m["metric"]]["mean"])
+            for row in result["rows"]
+            if m["metric"] in row["scores"][group] and row["name"] not in result["repeats"][1:]
+        }
+        if len(means) > 1:
+            best[m["metric"]] = min(means, key=lambda name: means[name])
+    return best
+
+
+def _clips(data: Mapping[str, Any]) -> int:
+    parts = data.get("datasets", {"": data})
+    return sum(part["clips"]["train"] for part in parts.values())
+
+
+def _interval(score: Mapping[str, Any] | None) -> str:
+    if score is None:
+        return "–"
+    mean = number(score["mean"], 3)
+    if score["low"] is None:
+        return mean
+    return f"{mean} [{number(score['low'], 3)}, {number(score['high'], 3)}]"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:+.1f} %"
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else f" ({unit.replace('^2', '²')})"
+
+
+def _grid(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    rows = [header, ["---"] * len(header), *lines]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in rows)
+
+
+def load_result(path: Path) -> dict[str, Any]:
+    """Reads a result back.
+
+    Raises:
+        ValueError: the file is no table.
+    """
+    content = json.loads(path.read_text())
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise ValueError(f"{path} holds no table of freetalk")
+    return content

@@ -1,0 +1,242 @@
+"""Scores of a row clip by clip: meshes from true landmarks, from speech, or landmarks from speech."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from tqdm import tqdm
+
+from freetalk import metrics
+from freetalk._pretrained import PRETRAINED
+from freetalk.ats import Ats, GenerateOptions, generate
+from freetalk.data import FaceMesh, MotionSequence
+from freetalk.evaluate.masks import landmark_masks
+from freetalk.evaluate.metric_specs import spec_of
+from freetalk.speech import SpeechEncoder, encode_speech
+from freetalk.stm import Stm
+from freetalk.tables.views import DatasetView
+from freetalk.train.stm_meshes import PreparedMesh, prepare_mesh
+
+FloatArray = npt.NDArray[np.float32]
+Masks = Mapping[str, torch.Tensor]
+
+#: How much the error of neighbouring vertices of the lips differs: what makes a surface look noisy.
+ROUGHNESS = "roughness"
+#: Working memory of a decoder.
+_MEMORY_BYTES = 256 << 20
+
+
+@dataclass
+class ClipScores:
+    """Values of clips on one dataset, in printed units.
+
+    Attributes:
+        values: metric, clip to value.
+        frames: clip to its length, the weight in a mean over frames.
+    """
+
+    values: dict[str, dict[str, float]] = field(default_factory=dict)
+    frames: dict[str, int] = field(default_factory=dict)
+
+    def add(self, clip: str, frames: int, values: Mapping[str, float]) -> None:
+        """Takes in the values of a clip."""
+        self.frames[clip] = frames
+        for metric, value in values.items():
+            self.values.setdefault(metric, {})[clip] = value
+
+    def to_dict(self) -> dict[str, dict[str, object]]:
+        """As stored."""
+        return {"values": dict(self.values), "frames": dict(self.frames)}
+
+
+def unit_of(metric: str) -> str:
+    """Unit that a metric is printed in."""
+    return "mm" if metric == ROUGHNESS else spec_of(metric).unit
+
+
+def title_of(metric: str) -> str:
+    """How tables call a metric."""
+    return "roughness" if metric == ROUGHNESS else spec_of(metric).title
+
+
+def pooling_of(metric: str) -> str:
+    """What a test set's number is the mean over: ``frames`` or ``sequences``."""
+    return "frames" if metric == ROUGHNESS else spec_of(metric).pooling
+
+
+def values_of(
+    guess: torch.Tensor, true: torch.Tensor, names: Sequence[str], masks: Masks
+) -> dict[str, float]:
+    """Metrics of one clip, displacements (T, V, 3) m; a mask that is empty has no value."""
+    found = {}
+    for name in names:
+        if name == ROUGHNESS:
+            found[name] = roughness(guess, true, masks["edges"])
+            continue
+        spec = spec_of(name)
+        mask = None if spec.mask == "all" else masks[spec.mask]
+        value = metrics.vertex_metric(spec.name, guess, true, vertices=mask).item()
+        if np.isfinite(value):
+            found[name] = spec.factor * value
+    return found
+
+
+def roughness(guess: torch.Tensor, true: torch.Tensor, edges: torch.Tensor) -> float:
+    """mean_t mean_(i,j) | (d_ti - d'_ti) - (d_tj - d'_tj) | over edges (i, j) of the lips, mm.
+
+    Args:
+        guess: (T, V, 3) displacements, m.
+        true: (T, V, 3).
+        edges: (E, 2) vertices.
+    """
+    error = guess - true
+    steps = error[:, edges[:, 0]] - error[:, edges[:, 1]]
+    return 1000 * float(steps.norm(dim=-1).mean())
+
+
+def lip_edges(faces: npt.NDArray[np.int64], lips: npt.NDArray[np.bool_]) -> torch.Tensor:
+    """Edges with both ends in the mask, each once, (E, 2)."""
+    pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    pairs = np.unique(np.sort(pairs[lips[pairs].all(axis=1)], axis=1), axis=0)
+    return torch.from_numpy(pairs)
+
+
+def still_face(view: DatasetView, names: Sequence[str], on_landmarks: bool) -> ClipScores:
+    """Scores of a face that does not move, which numbers are read against."""
+    scores = ClipScores()
+    for clip, identity, topology in view.faces_of("test"):
+        if on_landmarks:
+            masks, true = _landmark_masks(), torch.from_numpy(view.landmarks(clip))
+        else:
+            masks = face_masks(view.mesh(identity, topology))
+            true = torch.from_numpy(view.vertex_displacements(topology, clip))
+        scores.add(clip.id, len(true), values_of(torch.zeros_like(true), true, names, masks))
+    return scores
+
+
+def face_masks(mesh: FaceMesh) -> Masks:
+    """Vertices of lips and upper face, and edges of the lips."""
+    return {
+        "lips": torch.from_numpy(np.flatnonzero(mesh.lip_mask)),
+        "upper": torch.from_numpy(np.flatnonzero(mesh.upper_face_mask)),
+        "edges": lip_edges(mesh.faces, mesh.lip_mask),
+    }
+
+
+def _landmark_masks() -> Masks:
+    return {name: torch.from_numpy(mask.indices) for name, mask in landmark_masks().items()}
+
+
+class MeshScorer:
+    """Moves the test faces of datasets by landmarks and scores the meshes.
+
+    Args:
+        directory: weights of the landmarks-to-mesh stage.
+        names: metrics.
+    """
+
+    def __init__(self, directory: Path, names: Sequence[str]) -> None:
+        self._stm = Stm.from_pretrained(directory).eval()
+        self._names = names
+        self._faces: dict[tuple[str, int, str], tuple[PreparedMesh, Masks]] = {}
+
+    def score(
+        self,
+        view: DatasetView,
+        landmarks: Callable[[MotionSequence], FloatArray],
+    ) -> ClipScores:
+        """Scores of the test clips moved by the given landmarks, (T, 68, 3) m at the view's rate."""
+        scores = ClipScores()
+        decoders = {}
+        for clip, identity, topology in tqdm(
+            view.faces_of("test"), desc=f"score {view.name}", leave=False
+        ):
+            mesh, masks = self._face(view, identity, topology)
+            if (identity, topology) not in decoders:
+                with torch.no_grad():
+                    features = self._stm.encode(mesh.positions, mesh.operators)
+                decoders[identity, topology] = self._stm.frame_decoder(
+                    features, mesh.operators, memory_bytes=_MEMORY_BYTES
+                )
+            motion = torch.from_numpy(landmarks(clip))
+            guess = decoders[identity, topology].decode(motion)
+            true = torch.from_numpy(view.vertex_displacements(topology, clip, 0, len(motion)))
+            length = min(len(guess), len(true))
+            found = values_of(guess[:length], true[:length], self._names, masks)
+            scores.add(clip.id, length, found)
+        return scores
+
+    def _face(self, view: DatasetView, identity: int, topology: str) -> tuple[PreparedMesh, Masks]:
+        key = (view.name, identity, topology)
+        if key not in self._faces:
+            options = self._stm.options
+            prepared = prepare_mesh(view, identity, topology, options.length_scale, options.k_eig)
+            masks = face_masks(view.mesh(identity, topology))
+            self._faces[key] = (prepared, masks)
+        return self._faces[key]
+
+
+class Speaker:
+    """Landmarks of test clips from their sound, each clip with a seed of its own; kept for further rows.
+
+    Args:
+        directory: weights of the audio-to-landmarks stage.
+        encoder: folder of the speech encoder; empty: the shipped one.
+        sampler: fields of ``GenerateOptions``.
+    """
+
+    def __init__(self, directory: Path, encoder: str, sampler: Mapping[str, object]) -> None:
+        self._ats = Ats.from_pretrained(directory).eval()
+        folder = Path(encoder) if encoder else PRETRAINED / "open-small" / "speech"
+        self._encoder = SpeechEncoder.from_pretrained(folder).eval()
+        self._options = GenerateOptions(**sampler)
+        self._made: dict[tuple[str, str], FloatArray] = {}
+
+    def landmarks(self, view: DatasetView, clip: MotionSequence, seed: int) -> FloatArray:
+        """(T, 68, 3) m at the view's frame rate."""
+        if (view.name, clip.id) not in self._made:
+            fps = float(self._ats.options.fps)
+            emotion = torch.zeros(len(self._ats.options.emotions))
+            emotion[list(self._ats.options.emotions).index(view.emotions[clip.emotion])] = 1.0
+            with torch.no_grad():
+                sound = torch.from_numpy(np.array(view.audio(clip)))
+                features = encode_speech(self._encoder, sound, fps)
+                motion = generate(
+                    self._ats,
+                    features,
+                    emotion=emotion,
+                    intensity=float(clip.intensity),
+                    options=self._options,
+                    seed=seed,
+                )
+            self._made[view.name, clip.id] = _at_rate(motion, fps, clip)
+        return self._made[view.name, clip.id]
+
+    def score(self, view: DatasetView, names: Sequence[str]) -> ClipScores:
+        """Scores of the landmarks themselves on the test clips."""
+        masks = _landmark_masks()
+        scores = ClipScores()
+        for seed, clip in enumerate(tqdm(view.sequences("test"), desc=view.name, leave=False)):
+            guess = torch.from_numpy(self.landmarks(view, clip, seed))
+            true = torch.from_numpy(view.landmarks(clip, 0, len(guess)))
+            length = min(len(guess), len(true))
+            found = values_of(guess[:length], true[:length], names, masks)
+            scores.add(clip.id, length, found)
+        return scores
+
+
+def _at_rate(motion: torch.Tensor, fps: float, clip: MotionSequence) -> FloatArray:
+    """Motion at `fps` as the clip's frames, linear in between."""
+    at = np.arange(clip.num_frames) * fps / clip.fps
+    at = at[at <= len(motion) - 1 + 1e-6]
+    before = np.minimum(np.floor(at + 1e-6).astype(np.int64), len(motion) - 1)
+    after = np.minimum(before + 1, len(motion) - 1)
+    share = (at - before).clip(0.0).astype(np.float32)[:, None, None]
+    frames = motion.numpy()
+    mixed: FloatArray = frames[before] * (1 - share) + frames[after] * share
+    return mixed.astype(np.float32)

@@ -1,0 +1,230 @@
+"""A table: rows of trainings and scores, each stored as a JSON as soon as it is done."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from freetalk.evaluate import PredictionSettings, score_predictions
+from freetalk.evaluate.dataset_truth import DatasetTruth
+from freetalk.evaluate.metric_specs import spec_of
+from freetalk.tables.claims import Claim
+from freetalk.tables.scoring import ROUGHNESS, ClipScores, MeshScorer, Speaker, still_face
+from freetalk.tables.sets import Catalogue
+from freetalk.tables.training import Trained, Training, train
+from freetalk.tables.views import DatasetView, ViewOptions
+from freetalk.train.checkpoint import git_commit, write_json
+
+#: Changes when stored rows are no longer comparable.
+_VERSION = 1
+RowResult = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row that is trained here.
+
+    Attributes:
+        name: as printed.
+        stm: of the landmarks-to-mesh stage; ``None`` scores landmarks.
+        ats: of the audio-to-landmarks stage; ``None`` moves meshes by true landmarks. A row without
+            either is a face that does not move.
+        paper: what the paper prints, by dataset (``all`` for one number) and metric.
+    """
+
+    name: str
+    stm: Training | None
+    ats: Training | None
+    paper: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a paper, or one of ours.
+
+    Attributes:
+        name: of its files, such as ``supp_1``.
+        title: its heading.
+        rows: top to bottom.
+        tests: datasets whose test split is scored.
+        view: clips that are scored.
+        metrics: left to right.
+        claims: what the paper says of it.
+        notes: what a reader must know, a sentence each.
+        pooled: one number over all test sets, instead of one a set.
+        repeats: names of rows that differ in their seed alone.
+    """
+
+    name: str
+    title: str
+    rows: tuple[Row, ...]
+    tests: tuple[str, ...]
+    view: ViewOptions
+    metrics: tuple[str, ...]
+    claims: tuple[Claim, ...] = ()
+    notes: tuple[str, ...] = ()
+    pooled: bool = False
+    repeats: tuple[str, ...] = ()
+
+
+class TableRun:
+    """Makes the rows of a table one after the other.
+
+    Args:
+        table: what is made.
+        catalogue: the datasets.
+        work: folder of trainings and rows, which a later call goes on from.
+        encoder: folder of the speech encoder; empty: the shipped one.
+        sampler: fields of ``GenerateOptions``.
+
+    Raises:
+        ValueError: a test set is not given, or lacks a mask.
+    """
+
+    def __init__(
+        self,
+        table: Table,
+        catalogue: Catalogue,
+        work: Path,
+        encoder: str = "",
+        sampler: Mapping[str, object] | None = None,
+    ) -> None:
+        self.table, self.catalogue, self.work = table, catalogue, work
+        self._encoder, self._sampler = encoder, dict(sampler or {})
+        self._views = {name: catalogue.view(name, table.view) for name in table.tests}
+        if any(row.stm is not None for row in table.rows):
+            self._check_masks()
+        self._speakers: dict[str, Speaker] = {}
+
+    def rows(self, only: Sequence[str] = ()) -> list[RowResult]:
+        """Results of all rows, or of those named; finished ones are read back.
+
+        Raises:
+            ValueError: no row is called so.
+        """
+        known = [row.name for row in self.table.rows]
+        unknown = [name for name in only if name not in known]
+        if unknown:
+            raise ValueError(f"no row {unknown[0]!r} in this table; rows: {', '.join(known)}")
+        return [self._row(row) for row in self.table.rows if not only or row.name in only]
+
+    def stored(self, row: Row) -> RowResult | None:
+        """A row that was made before with the same trainings and scores."""
+        path = self._path(row)
+        if not path.is_file():
+            return None
+        found: RowResult = json.loads(path.read_text())
+        return found if found["key"] == self._key(row) else None
+
+    def predictions(self, folders: Sequence[tuple[str, Path]]) -> list[RowResult]:
+        """Rows of other systems, from their predictions of the test clips on the tables' meshings.
+
+        Args:
+            folders: (name, folder) of each; with several test sets, a folder of each set's name below.
+
+        Raises:
+            ValueError, OSError: what is missing or wrong.
+        """
+        results = []
+        for name, directory in folders:
+            scores = {}
+            for test, view in self._views.items():
+                folder = directory / test if len(self._views) > 1 else directory
+                truth = DatasetTruth(view, "test", view.topologies("test")[0])
+                names = [metric for metric in self.table.metrics if metric != ROUGHNESS]
+                found = score_predictions(
+                    [(name, folder)],
+                    truth,
+                    truth.masks,
+                    truth.lip_pairs,
+                    PredictionSettings(metrics=names),
+                )
+                values = {metric: found.values[metric][name] for metric in names}
+                scores[test] = ClipScores(values, found.frames).to_dict()
+            results.append(
+                {"name": name, "predictions": str(directory), "trainings": [], "scores": scores}
+            )
+        return results
+
+    def _check_masks(self) -> None:
+        """Says before a training that a metric has no vertices."""
+        wanted = {spec_of(name).mask for name in self.table.metrics if name != ROUGHNESS} - {"all"}
+        for name, view in self._views.items():
+            _, identity, topology = view.faces_of("test")[0]
+            mesh = view.mesh(identity, topology)
+            found = {"lips": mesh.lip_mask.any(), "upper": mesh.upper_face_mask.any()}
+            lacking = sorted(mask for mask in wanted if not found[mask])
+            if lacking:
+                raise ValueError(
+                    f"{name} has no mask of the {' and the '.join(lacking)} (docs/datasets.md says where it goes)"
+                )
+
+    def _row(self, row: Row) -> RowResult:
+        found = self.stored(row)
+        if found is not None:
+            tqdm.write(f"{self.table.name}: {row.name} is done already", file=sys.stderr)
+            return found
+        tqdm.write(f"{self.table.name}: {row.name}", file=sys.stderr)
+        trained = {
+            kind: train(training, self.catalogue, self.work)
+            for kind, training in (("stm", row.stm), ("ats", row.ats))
+            if training is not None
+        }
+        began = time.perf_counter()
+        scores = {name: self._scores(row, trained, view) for name, view in self._views.items()}
+        result = {
+            "key": self._key(row),
+            "name": row.name,
+            "trainings": [one.record for one in trained.values()],
+            "scores": {name: own.to_dict() for name, own in scores.items()},
+            "scoring_minutes": round((time.perf_counter() - began) / 60, 2),
+            "commit": git_commit(),
+        }
+        path = self._path(row)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_json(path, result)
+        return result
+
+    def _scores(self, row: Row, trained: Mapping[str, Trained], view: DatasetView) -> ClipScores:
+        names = self.table.metrics
+        if not trained:
+            return still_face(view, names, all(one.stm is None for one in self.table.rows))
+        speaker = self._speaker(trained["ats"].directory) if "ats" in trained else None
+        if "stm" not in trained:
+            assert speaker is not None
+            return speaker.score(view, names)
+        scorer = MeshScorer(trained["stm"].directory, names)
+        if speaker is None:
+            return scorer.score(view, view.landmarks)
+        seeds = {clip.id: at for at, clip in enumerate(view.sequences("test"))}
+        return scorer.score(view, lambda clip: speaker.landmarks(view, clip, seeds[clip.id]))
+
+    def _speaker(self, directory: Path) -> Speaker:
+        key = str(directory)
+        if key not in self._speakers:
+            self._speakers[key] = Speaker(directory, self._encoder, self._sampler)
+        return self._speakers[key]
+
+    def _path(self, row: Row) -> Path:
+        name = "".join(c if c.isalnum() else "_" for c in row.name).strip("_")
+        return self.work / "rows" / self.table.name / f"{name}.json"
+
+    def _key(self, row: Row) -> str:
+        content = {
+            "version": _VERSION,
+            "trainings": [t.key(self.catalogue) for t in (row.stm, row.ats) if t is not None],
+            "tests": {name: view.fingerprint for name, view in self._views.items()},
+            "metrics": list(self.table.metrics),
+            "sampler": self._sampler if row.ats is not None else {},
+            "encoder": self._encoder,
+        }
+        text = json.dumps(content, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -1,0 +1,113 @@
+"""One training of a table: known by a hash of all that decides its weights, so that rows and tables share it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from freetalk.tables.sets import Catalogue
+from freetalk.tables.views import ViewOptions
+from freetalk.train.checkpoint import write_json
+from freetalk.train.config import load_config
+from freetalk.train.engine import Engine
+from freetalk.train.loop import Trainer
+from freetalk.train.run import make_task
+
+
+@dataclass(frozen=True)
+class Training:
+    """What is trained, on what.
+
+    Attributes:
+        kind: ``ats`` or ``stm``.
+        sets: names of the datasets.
+        view: what of them.
+        config: name or path of the configuration.
+        overrides: ``section.key=value`` on top of it.
+        epochs: passes over the clips that set ``loop.max_steps``; 0 leaves it.
+    """
+
+    kind: str
+    sets: tuple[str, ...]
+    view: ViewOptions
+    config: str
+    overrides: tuple[str, ...] = ()
+    epochs: int = 0
+
+    def key(self, catalogue: Catalogue) -> str:
+        """Hash of the configuration, the data and the epochs."""
+        config = load_config(self.kind, self.config, list(self.overrides)).to_dict()
+        data = catalogue.mixture(self.sets, self.view).fingerprint
+        content = json.dumps([self.kind, config, data, self.epochs], sort_keys=True)
+        return hashlib.sha256(content.encode()).hexdigest()[:12]
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A finished training.
+
+    Attributes:
+        directory: folder with its weights.
+        key: of the training.
+        record: what results say of it.
+    """
+
+    directory: Path
+    key: str
+    record: dict[str, Any]
+
+
+class StoppedError(RuntimeError):
+    """A training was told to stop before its end; it goes on from there."""
+
+
+def train(training: Training, catalogue: Catalogue, work: Path) -> Trained:
+    """Weights of a training: from the work folder where it was finished, else trained (on).
+
+    Raises:
+        StoppedError: it was interrupted.
+    """
+    key = training.key(catalogue)
+    out = work / "trainings" / f"{training.kind}-{key}"
+    done = out / "done.json"
+    if done.is_file():
+        return Trained(out / training.kind, key, json.loads(done.read_text()))
+    overrides = [f"task.feature_cache={work / 'features'}"] if training.kind == "ats" else []
+    corpus = catalogue.mixture(training.sets, training.view)
+    corpus.check()
+    config = load_config(training.kind, training.config, [*training.overrides, *overrides])
+    if training.epochs:
+        clips = len(corpus.sequences("train"))
+        config.loop.max_steps = max(1, training.epochs * clips // config.loop.batch_size)
+    engine = Engine(config.loop)
+    if config.loop.threads > 0:
+        torch.set_num_threads(config.loop.threads)
+    with engine.main_first():
+        torch.manual_seed(config.loop.seed)  # initial weights
+        task = make_task(config, corpus, out, engine.device)
+    began = time.perf_counter()
+    result = Trainer(task, config, out, f"table row {training.kind}", engine).run()
+    if result.status != "finished":
+        raise StoppedError(f"{out} stopped after step {result.step}")
+    record = {
+        "kind": training.kind,
+        "key": key,
+        "sets": list(training.sets),
+        "view": asdict(training.view),
+        "config": training.config,
+        "overrides": list(training.overrides),
+        "seed": config.loop.seed,
+        "steps": result.step,
+        "minutes": round((time.perf_counter() - began) / 60, 2),
+        "parameters": sum(p.numel() for p in task.model.parameters()),
+        "validation": result.scores,
+        "data": corpus.describe(),
+    }
+    write_json(done, record)
+    return Trained(result.directory, key, record)

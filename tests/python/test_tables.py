@@ -1,0 +1,314 @@
+"""The papers' tables: parts of datasets, rows that go on where they were stopped, verdicts, files."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from dataset_layouts import write_folder
+from mini_corpus import write_mini_corpus
+
+from freetalk.corpus.topologies import TOPOLOGIES
+from freetalk.data import OpenCorpus, open_dataset
+from freetalk.stm import Stm
+from freetalk.tables import main
+from freetalk.tables.claims import HELD, OPPOSITE, UNDECIDED, Claim, judge
+from freetalk.tables.definitions import TABLES, Recipes
+from freetalk.tables.papers import DATASETS
+from freetalk.tables.report import load_result, make_result, markdown
+from freetalk.tables.scoring import lip_edges, roughness
+from freetalk.tables.sets import FULL_FAMILIES, OPEN_SETS, SMALL_FAMILIES, Catalogue, parse_sets
+from freetalk.tables.sizes import SIZES, TINY
+from freetalk.tables.table import TableRun
+from freetalk.tables.views import DatasetView, ViewOptions
+from freetalk.train.stm_meshes import prepare_mesh
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_mini_corpus(tmp_path_factory.mktemp("tables") / "corpus")
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Recordings at 25 fps on a template of their own, with masks."""
+    folder = write_folder(tmp_path_factory.mktemp("own") / "own", frames=50, fps=25)
+    (folder / "lip_mask.json").write_text(json.dumps(list(range(20, 40))))
+    (folder / "upper_mask.json").write_text(json.dumps(list(range(60, 90))))
+    return folder
+
+
+def neutral_sets(corpus: Path) -> list[str]:
+    return [f"--data={name}={corpus}" for name in ("VOCASET", "BIWI", "Multiface")]
+
+
+# views
+
+
+def test_a_view_at_a_third_of_the_rate_has_every_third_frame(corpus: Path) -> None:
+    base = OpenCorpus(corpus)
+    view = DatasetView(base, "part", ViewOptions(fps=10.0))
+    sequence = view.sequences("train")[0]
+    whole = next(s for s in base.sequences("train") if s.id == sequence.id)
+    np.testing.assert_array_equal(view.landmarks(sequence), base.landmarks(whole)[::3])
+    assert sequence.num_frames == len(view.landmarks(sequence)) == -(-whole.num_frames // 3)
+    topology = view.topologies("train")[0]
+    np.testing.assert_array_equal(
+        view.vertex_displacements(topology, sequence, 4, 9),
+        base.vertex_displacements(topology, whole)[12:27:3],
+    )
+
+
+def test_a_view_at_another_rate_lies_on_the_lines_between_frames(own: Path) -> None:
+    base = open_dataset(own)
+    view = DatasetView(base, "part", ViewOptions(fps=10.0))
+    sequence = view.sequences("train")[0]
+    whole = next(s for s in base.sequences("train") if s.id == sequence.id)
+    frames = base.landmarks(whole)
+    # 25 fps: frame 3 of the view is frame 7.5 of the dataset; sums of two float32 numbers.
+    np.testing.assert_allclose(
+        view.landmarks(sequence, 3, 4)[0], (frames[7] + frames[8]) / 2, atol=1e-8
+    )
+
+
+def test_clips_cover_a_sequence_with_its_sound(corpus: Path) -> None:
+    base = OpenCorpus(corpus)
+    view = DatasetView(base, "part", ViewOptions(clip_frames=30, min_frames=10))
+    whole = base.sequences("train", ["facegood"])[0]  # 75 frames: 30, 30, 15
+    clips = [s for s in view.sequences("train") if s.id.startswith(whole.id)]
+    assert [c.num_frames for c in clips] == [30, 30, 15]
+    joined = np.concatenate([view.landmarks(c) for c in clips])
+    np.testing.assert_array_equal(joined, base.landmarks(whole))
+    sound = np.concatenate([view.audio(c) for c in clips])
+    np.testing.assert_array_equal(sound, base.audio(whole)[: len(sound)])
+    assert len(view.audio(clips[0])) == 16000
+
+
+def test_a_view_takes_every_other_clip_of_training_and_limits_the_rest(corpus: Path) -> None:
+    options = ViewOptions(fps=10.0, clip_frames=10, every=2, limits={"test": 3})
+    view = DatasetView(OpenCorpus(corpus), "part", options)
+    whole = DatasetView(OpenCorpus(corpus), "part", ViewOptions(fps=10.0, clip_frames=10))
+    expected = [s.id for s in whole.sequences("train")][::2]
+    assert [s.id for s in view.sequences("train")] == expected
+    assert len(view.sequences("test")) == 3
+    assert view.fingerprint != whole.fingerprint
+
+
+def test_counterparts_of_neutral_sets_share_no_sequence() -> None:
+    families = [*SMALL_FAMILIES.values(), *FULL_FAMILIES.values()]
+    known = {spec.name for spec in TOPOLOGIES}
+    for family in families:
+        names = [name for split in ("train", "val", "test") for name in family[split]]
+        assert len(set(names)) == len(names), "a meshing is in two splits"
+        assert set(names) <= known
+        assert len(family["test"]) == 1  # predictions of others are on one meshing
+    for voice in ("espeak:en-us+f4", "espeak:en+m1", "flite:slt"):
+        owners = [n for n in ("BIWI", "Multiface") if voice.startswith(OPEN_SETS[n].voices)]
+        assert len(owners) == 1
+
+
+def test_settings_are_numbers_of_datasets() -> None:
+    assert parse_sets("1, 3") == (DATASETS[1], DATASETS[3])
+    with pytest.raises(ValueError, match="6"):
+        parse_sets("2,6")
+
+
+# scores
+
+
+def test_a_shift_is_not_rough_and_a_zigzag_is() -> None:
+    faces = np.array([[0, 1, 2], [1, 3, 2]])
+    edges = lip_edges(faces, np.array([True, True, True, False]))
+    assert edges.tolist() == [[0, 1], [0, 2], [1, 2]]
+    true = torch.zeros(2, 4, 3)
+    assert roughness(true + 0.01, true, edges) == 0
+    zigzag = true.clone()
+    zigzag[:, 0, 1] = 0.001  # 1 mm on two of three edges
+    assert roughness(zigzag, true, edges) == pytest.approx(2 / 3, rel=1e-6)
+
+
+# claims
+
+
+def scored(**means: float) -> dict[str, dict[str, object]]:
+    """Rows of 30 clips with a spread of their own that all rows share."""
+    rng = np.random.default_rng(0)
+    level, noise = rng.uniform(0.5, 1.5, 30), rng.normal(0, 0.02, (len(means), 30))
+    return {
+        name: {
+            "scores": {
+                "SET": {
+                    "values": {"lve": {str(i): float(mean * level[i] + own[i]) for i in range(30)}},
+                    "frames": {str(i): 20 + i for i in range(30)},
+                }
+            }
+        }
+        for (name, mean), own in zip(means.items(), noise, strict=True)
+    }
+
+
+def verdict(claim: Claim, rows: dict[str, dict[str, object]], repeats: tuple[str, ...] = ()) -> str:
+    (found,) = judge([claim], rows, repeats)
+    return found.outcome
+
+
+def test_an_order_holds_is_refuted_or_stays_open() -> None:
+    rows = scored(low=1.0, high=1.1, same=1.0005)
+    assert verdict(Claim("", "", ("low",), ("high",)), rows) == HELD
+    assert verdict(Claim("", "", ("high",), ("low",)), rows) == OPPOSITE
+    assert verdict(Claim("", "", ("low",), ("same",)), rows) == UNDECIDED
+
+
+def test_a_claim_of_likeness_asks_for_the_whole_interval() -> None:
+    rows = scored(low=1.0, near=1.03, far=1.5)
+    assert verdict(Claim("", "", ("near",), ("low",), margin=0.1), rows) == HELD
+    assert verdict(Claim("", "", ("far",), ("low",), margin=0.1), rows) == OPPOSITE
+    assert verdict(Claim("", "", ("near",), ("low",), margin=0.03), rows) == UNDECIDED
+
+
+def test_what_seeds_change_widens_the_interval() -> None:
+    rows = scored(low=1.0, high=1.1, **{"low, seed 1": 1.1, "low, seed 2": 0.9})
+    claim = Claim("", "", ("low",), ("high",))
+    repeats = ("low", "low, seed 1", "low, seed 2")
+    (alone,), (with_seeds,) = judge([claim], rows), judge([claim], rows, repeats)
+    assert alone.outcome == HELD
+    assert with_seeds.outcome == UNDECIDED
+    assert with_seeds.seed_spread == pytest.approx(0.1, rel=0.05)  # noise of the clips
+    # t at 97.5 % for 2 degrees of freedom times s sqrt(1 + 1), joined with the interval of the clips.
+    extra = 4.303 * with_seeds.seed_spread * np.sqrt(2)
+    expected = np.hypot(alone.high - alone.difference, extra)
+    assert with_seeds.high - with_seeds.difference == pytest.approx(expected)
+
+
+def test_several_rows_count_by_their_mean_and_missing_ones_are_passed_over() -> None:
+    rows = scored(a=1.0, b=1.2, c=1.3)
+    (found,) = judge([Claim("", "", ("a", "b"), ("c",)), Claim("", "", ("a",), ("lost",))], rows)
+    assert found.difference == pytest.approx(1.1 / 1.3 - 1, abs=0.01)
+
+
+# rows
+
+
+def test_a_killed_table_goes_on_after_its_last_row(corpus: Path, tmp_path: Path) -> None:
+    arguments = ["--size=tiny", f"--work={tmp_path / 'work'}", f"--out={tmp_path / 'out'}"]
+    arguments += neutral_sets(corpus)
+    first = tmp_path / "work/tiny/rows/supp_2/concat.json"
+    script = Path(__file__).parents[2] / "scripts/table_supp_2.py"
+    child = subprocess.Popen(
+        [sys.executable, str(script), *arguments],
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )
+    while not first.is_file() and child.poll() is None:
+        time.sleep(0.05)
+    child.send_signal(signal.SIGKILL)
+    child.wait()
+    written = first.stat().st_mtime_ns
+    assert main("supp_2", arguments) == 0
+    assert first.stat().st_mtime_ns == written
+    result = load_result(tmp_path / "out/supp_2.json")
+    names = [row["name"] for row in result["rows"]]
+    assert names == [
+        "concat",
+        "ca",
+        "ca_concat",
+        "gcn_ca_concat",
+        "gcn_ca_concat, seed 1",
+        "still face",
+    ]
+    assert (tmp_path / "out/supp_2.png").read_bytes().startswith(b"\x89PNG")
+
+    # Another table's row of the same training is not trained again; other steps are another training.
+    trainings = tmp_path / "work/tiny/trainings"
+    count = len(list(trainings.iterdir()))
+    row = ["--rows", "diffusionnet + diffusionnet"]
+    assert main("supp_1", [*arguments, *row]) == 0
+    assert len(list(trainings.iterdir())) == count
+    assert main("supp_1", [*arguments, *row, "--", "stm.loop.max_steps=1"]) == 0
+    assert len(list(trainings.iterdir())) == count + 1
+
+
+def test_a_row_scores_what_its_weights_give(corpus: Path, tmp_path: Path) -> None:
+    catalogue = Catalogue([f"{n}={corpus}" for n in ("VOCASET", "BIWI", "Multiface")], {})
+    table = TABLES["supp_2"](Recipes(TINY, 0), ())
+    (row,) = TableRun(table, catalogue, tmp_path).rows(["gcn_ca_concat"])
+    directory = tmp_path / "trainings" / f"stm-{row['trainings'][0]['key']}" / "stm"
+    stm = Stm.from_pretrained(directory).eval()
+    view = catalogue.view("BIWI", table.view)
+    clip, identity, topology = view.faces_of("test")[1]
+    options = stm.options
+    face = prepare_mesh(view, identity, topology, options.length_scale, options.k_eig)
+    landmarks = torch.from_numpy(view.landmarks(clip))
+    with torch.no_grad():
+        guess = stm(face.positions, face.operators, landmarks).numpy()
+    error = np.square(guess - view.vertex_displacements(topology, clip)).sum(axis=-1)
+    lips = view.mesh(identity, topology).lip_mask
+    expected = 1e6 * error[:, lips].max(axis=1).mean()
+    # The table decodes with the fast decoder: sums in another order.
+    assert row["scores"]["BIWI"]["values"]["lve"][clip.id] == pytest.approx(expected, rel=1e-3)
+
+
+def test_speech_moves_meshes_of_mixed_datasets(corpus: Path, own: Path, tmp_path: Path) -> None:
+    arguments = ["--size=tiny", f"--work={tmp_path / 'work'}", f"--out={tmp_path / 'out'}"]
+    arguments += [f"--data=MEAD-EMOTE={own}", f"--data=VOCASET={corpus}"]
+    # Another system that predicts the truth.
+    view = Catalogue([f"MEAD-EMOTE={own}"], {}).view("MEAD-EMOTE", TINY.ats)
+    (tmp_path / "perfect").mkdir()
+    for clip, _, topology in view.faces_of("test"):
+        motion = view.vertex_displacements(topology, clip)
+        np.savez(tmp_path / "perfect" / f"{clip.id}.npz", displacements=motion)
+    arguments += [f"--pred=Perfect={tmp_path / 'perfect'}", "--settings", "2+2,3", "2+2"]
+    assert main("table_2", arguments) == 0
+    result = load_result(tmp_path / "out/table_2.json")
+    scores = {row["name"]: row["scores"]["MEAD-EMOTE"] for row in result["rows"]}
+    assert list(scores) == ["2 + 2,3", "2 + 2", "2 + 2, seed 1", "still face", "Perfect"]
+    assert scores["Perfect"]["lve"]["mean"] == 0
+    assert all(scores[name]["lve"]["mean"] > 0 for name in scores if name != "Perfect")
+    own_row = next(row for row in result["rows"] if row["name"] == "2 + 2")
+    assert [one["kind"] for one in own_row["trainings"]] == ["stm", "ats"]
+    assert own_row["paper"]["MEAD-EMOTE"]["lve"] == 13.8
+
+
+def test_the_report_says_what_was_run_and_ends_with_the_claims(corpus: Path) -> None:
+    catalogue = Catalogue([str(corpus)], SMALL_FAMILIES)
+    table = TABLES["supp_2"](Recipes(SIZES["small"], 3), ())
+    rows = scored(concat=4.0, ca=3.0, ca_concat=2.0, gcn_ca_concat=2.001)
+    listed = [{"name": name, "trainings": [], **row} for name, row in rows.items()]
+    result = make_result(table, listed, SIZES["small"], catalogue, "python x.py", 3)
+    text = markdown(result)
+    assert "Different data" in text
+    assert "`python x.py`" in text
+    assert "seed 3" in text
+    assert "paper's LVE (other data)" in text
+    assert "0.0025" in next(line for line in text.splitlines() if line.startswith("| ca "))
+    ending = text[text.index("## Claims of the paper") :]
+    assert "| ca_concat beats ca | supp. Table 2: 0.0023 and 0.0025 | **held** |" in ending
+    assert (
+        "| gcn_ca_concat beats ca_concat | supp. Table 2: 0.0021 and 0.0023 | **not decided"
+        in ending
+    )
+    json.dumps(result)  # nothing in it that JSON does not know
+
+
+def test_what_a_table_lacks_is_named(corpus: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"FLAME.*EmoVOCA"):
+        Catalogue([f"FLAME={corpus}"], {})
+    with pytest.raises(ValueError, match="EmoVOCA=DIR"):
+        Catalogue([f"BIWI={corpus}"], {}).view("EmoVOCA", ViewOptions())
+    with pytest.raises(ValueError, match=r"stm\.section"):
+        Recipes(TINY, 0, ["loop.max_steps=3"])
+    unmasked = write_folder(tmp_path / "own", frames=20, fps=25)
+    with pytest.raises(ValueError, match="MEAD-EMOTE has no mask of the lips and the upper"):
+        main("table_2", ["--size=tiny", f"--data=MEAD-EMOTE={unmasked}", "--settings", "2+2"])
+    with pytest.raises(ValueError, match="sideways"):
+        main("supp_2", ["--size=tiny", *neutral_sets(corpus), "--rows", "sideways"])
