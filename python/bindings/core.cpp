@@ -3,11 +3,15 @@
 #include <pybind11/stl/filesystem.h>
 #include <torch/extension.h>
 
+#include "freetalk/core/cache_dir.h"
 #include "freetalk/core/options.h"
 
 namespace py = pybind11;
 
 void bind_core(py::module_& m) {
+  m.def("default_cache_dir", &freetalk::core::default_cache_dir,
+        "The folder of the disk caches: $FREETALK_CACHE, or $XDG_CACHE_HOME/freetalk, or "
+        "~/.cache/freetalk.");
   m.def("load_safetensors", &freetalk::core::load_safetensors, py::arg("path"),
         py::call_guard<py::gil_scoped_release>(),
         "Tensors of a safetensors file by name, memory-mapped.");

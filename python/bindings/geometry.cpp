@@ -205,7 +205,6 @@ void bind_operators(py::module_& m) {
         py::arg("max_bytes") = int64_t{4} << 30,
         py::arg("progress") = std::function<void(double)>(), NoGil(),
         "Operators of a surface, from the disk cache where they are there.");
-  m.def("default_cache_dir", &geometry::default_cache_dir, "The folder of the disk cache.");
 }
 
 void bind_eigenbasis(py::module_& m) {

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from freetalk._native import geometry as _native
+from freetalk._native.core import default_cache_dir
 from freetalk._progress import ShareProgress, progress_bar
 
 if TYPE_CHECKING:
@@ -57,7 +58,6 @@ __all__ = [
 ]
 
 concatenate = _native.concatenate
-default_cache_dir = _native.default_cache_dir
 unique_edges = _native.unique_edges
 cotan_laplacian = _native.cotan_laplacian
 mesh_report = _native.mesh_report

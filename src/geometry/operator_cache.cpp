@@ -2,11 +2,11 @@
 
 #include <algorithm>
 #include <chrono>
-#include <cstdlib>
 #include <optional>
 #include <vector>
 
 #include "content_hash.h"
+#include "freetalk/core/cache_dir.h"
 #include "freetalk/core/error.h"
 #include "freetalk/core/options.h"
 #include "freetalk/core/safetensors.h"
@@ -134,18 +134,7 @@ void evict(const fs::path& folder, const fs::path& keep, int64_t max_bytes) {
 
 }  // namespace
 
-std::filesystem::path default_cache_dir() {
-  const auto variable = [](const char* name) -> std::string {
-    const char* value = std::getenv(name);
-    return value == nullptr ? "" : value;
-  };
-  if (const std::string own = variable("FREETALK_CACHE"); !own.empty()) return own;
-  if (const std::string xdg = variable("XDG_CACHE_HOME"); !xdg.empty()) {
-    return fs::path(xdg) / "freetalk";
-  }
-  const std::string home = variable("HOME");
-  return (home.empty() ? fs::temp_directory_path() : fs::path(home) / ".cache") / "freetalk";
-}
+std::filesystem::path default_cache_dir() { return core::default_cache_dir(); }
 
 SurfaceOperators cached_surface_operators(const Eigen::MatrixXd& vertices,
                                           const Eigen::MatrixXi& faces,

@@ -1,10 +1,16 @@
 from __future__ import annotations
 import collections.abc
 import os
+import pathlib
 import torch
 import typing
 
-__all__: list[str] = ["load_safetensors", "nearest_name", "save_safetensors"]
+__all__: list[str] = ["default_cache_dir", "load_safetensors", "nearest_name", "save_safetensors"]
+
+def default_cache_dir() -> pathlib.Path:
+    """
+    The folder of the disk caches: $FREETALK_CACHE, or $XDG_CACHE_HOME/freetalk, or ~/.cache/freetalk.
+    """
 
 def load_safetensors(path: os.PathLike | str | bytes) -> dict[str, torch.Tensor]:
     """

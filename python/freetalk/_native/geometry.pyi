@@ -3,7 +3,6 @@ import collections.abc
 import numpy
 import numpy.typing
 import os
-import pathlib
 import scipy.sparse
 import torch
 import typing
@@ -24,7 +23,6 @@ __all__: list[str] = [
     "concatenate",
     "connected_components",
     "cotan_laplacian",
-    "default_cache_dir",
     "eigenbasis",
     "face_areas",
     "face_operators",
@@ -496,11 +494,6 @@ def cotan_laplacian(
 ) -> scipy.sparse.csc_matrix:
     """
     (V, V) cotangent Laplacian as a scipy sparse matrix, positive semi-definite.
-    """
-
-def default_cache_dir() -> pathlib.Path:
-    """
-    The folder of the disk cache.
     """
 
 def eigenbasis(

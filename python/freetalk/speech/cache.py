@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from freetalk import _native
+from freetalk._native.core import default_cache_dir
 from freetalk._native.speech import EncodeOptions
 from freetalk.speech.encoder import SpeechEncoder
 from freetalk.speech.features import encode_speech
@@ -42,7 +43,7 @@ class FeatureCache:
         half: bool = False,
     ) -> None:
         self.encoder = encoder
-        self.directory = Path(directory) if directory is not None else default_directory()
+        self.directory = Path(directory) if directory is not None else default_cache_dir() / "speech"
         self.half = half
         self.refresh()
 
@@ -106,12 +107,3 @@ class FeatureCache:
         stored = features.half() if self.half else features
         _native.core.save_safetensors(str(path), {"features": stored})
         return stored.float()
-
-
-def default_directory() -> Path:
-    """``speech`` in the folder of freetalk's caches."""
-    own = os.environ.get("FREETALK_CACHE")
-    if own:
-        return Path(own) / "speech"
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "freetalk" / "speech"

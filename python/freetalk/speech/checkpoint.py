@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from freetalk import _native
-from freetalk.speech.cache import default_directory
+from freetalk._native.core import default_cache_dir
 from freetalk.speech.encoder import SpeechEncoder
 
 PUBLISHED = {
@@ -123,7 +123,7 @@ def download_encoder(name: str, directory: str | os.PathLike[str] | None = None)
 
 def models_directory() -> Path:
     """Where downloaded encoders lie."""
-    return default_directory().parent / "models"
+    return default_cache_dir() / "models"
 
 
 def _fetch(repository: str, file: str) -> Path | None:
