@@ -1,11 +1,13 @@
 """Time of the speech encoder against ``transformers`` (scaled dot product attention), interleaved in one run.
 
-    .venv/bin/python scripts/bench/speech.py [--seconds 10 30] [--rounds 5] [--threads 2] [--memory MINUTES]
+    .venv/bin/python scripts/bench/speech.py [--seconds 10 30] [--rounds 5] [--threads 2]
+    .venv/bin/python scripts/bench/speech.py --memory MINUTES [--encoder DIR] [--audio FILE] [--whole] [--stream]
 
 Base size, random weights, one clip, no gradients. Prints the median of each and the ratio, and how far the output is
 from that of ``transformers`` in float32, relative to its largest value and in the mean. ``--memory`` encodes a long
-clip instead and prints the peak memory of the process, and the difference from one pass over the whole clip
-(``--whole``).
+clip instead, with any encoder and any sound (repeated to the length), and prints the peak memory of the process, how far
+the features are from one pass over the whole clip for several windows (``--whole``), and how far a stream's are from
+those of the same pieces offline (``--stream``).
 """
 
 from __future__ import annotations
@@ -16,9 +18,19 @@ import statistics
 import time
 from collections.abc import Callable
 
+import numpy as np
 import torch
 
-from freetalk.speech import EncodeOptions, SpeechEncoder, encode_speech, hubert_base, normalize_wave
+from freetalk.audio import load_audio
+from freetalk.speech import (
+    EncodeOptions,
+    SpeechEncoder,
+    SpeechStream,
+    encode_speech,
+    hubert_base,
+    normalize_wave,
+    stream_options,
+)
 
 
 def speech_like(seconds: float) -> torch.Tensor:
@@ -78,21 +90,48 @@ def compare(seconds: float, rounds: int) -> None:
         )
 
 
-def long_clip(minutes: float, whole: bool) -> None:
-    torch.manual_seed(0)
-    encoder = SpeechEncoder(hubert_base()).eval()
-    samples = speech_like(60 * minutes)
+def long_sound(minutes: float, audio: str | None) -> torch.Tensor:
+    """A recording repeated to the length, or noise."""
+    if audio is None:
+        return speech_like(60 * minutes)
+    samples = torch.from_numpy(np.array(load_audio(audio).samples, np.float32))
+    count = int(60 * minutes * 16000)
+    return samples.repeat(-(-count // len(samples)))[:count]
+
+
+def long_clip(encoder: SpeechEncoder, samples: torch.Tensor, whole: bool, stream: bool) -> None:
+    minutes = len(samples) / 960000
     start = time.perf_counter()
     features = encode_speech(encoder, samples, 30.0)
     seconds = time.perf_counter() - start
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     print(f"{minutes:g} min in {seconds:.0f} s, peak memory of the process {peak:.2f} GiB")
+    if stream:
+        listener = SpeechStream(encoder, 30.0)
+        parts = [listener.push(piece) for piece in samples.split(1600)]
+        heard = torch.cat([*parts, listener.finish()])
+        options = stream_options()
+        print(
+            f"  streamed, latency {listener.latency_s:.2f} s, against the same pieces offline: ",
+            end="",
+        )
+        print(difference(heard, encode_speech(encoder, samples, 30.0, options=options)))
     if whole:
         options = EncodeOptions(window_s=60 * minutes + 1)
         expected = encode_speech(encoder, samples, 30.0, options=options)
-        relative = ((features - expected).norm() / expected.norm()).item()
-        worst = ((features - expected).abs().max() / expected.abs().max()).item()
-        print(f"  against one pass over the clip: mean {relative:.1e}, max {worst:.1e}")
+        print(
+            f"  against one pass over the clip, the default window: {difference(features, expected)}"
+        )
+        for window_s, context_s in ((6, 2), (12, 2), (20, 2), (20, 4), (40, 2), (40, 4), (60, 2)):
+            options = EncodeOptions(window_s=window_s, context_s=context_s)
+            found = encode_speech(encoder, samples, 30.0, options=options)
+            print(f"  window {window_s} s, context {context_s} s: {difference(found, expected)}")
+
+
+def difference(found: torch.Tensor, expected: torch.Tensor) -> str:
+    relative = ((found - expected).norm() / expected.norm()).item()
+    worst = ((found - expected).abs().max() / expected.abs().max()).item()
+    return f"mean {relative:.1e}, max {worst:.1e}"
 
 
 def main() -> None:
@@ -101,12 +140,22 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--memory", type=float, metavar="MINUTES")
+    parser.add_argument("--encoder", metavar="DIR")
+    parser.add_argument("--audio", metavar="FILE")
     parser.add_argument("--whole", action="store_true")
+    parser.add_argument("--stream", action="store_true")
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
     with torch.no_grad():
         if arguments.memory is not None:
-            long_clip(arguments.memory, arguments.whole)
+            torch.manual_seed(0)
+            encoder = (
+                SpeechEncoder.from_pretrained(arguments.encoder)
+                if arguments.encoder
+                else SpeechEncoder(hubert_base()).eval()
+            )
+            samples = long_sound(arguments.memory, arguments.audio)
+            long_clip(encoder, samples, arguments.whole, arguments.stream)
             return
         for seconds in arguments.seconds:
             compare(seconds, arguments.rounds)

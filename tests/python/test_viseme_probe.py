@@ -159,6 +159,7 @@ def test_scores_without_silence_leave_its_frames_out() -> None:
     found = scores_of(counts)
     assert found["accuracy"] == pytest.approx(13 / 20)
     assert found["accuracy_speech"] == pytest.approx(3 / 4)
+    assert found["largest_class"] == pytest.approx(16 / 20)
     assert found["recall"]["p b m"] == pytest.approx(3 / 4)
     assert found["recall"]["silence"] == pytest.approx(10 / 16)
 

@@ -42,7 +42,8 @@ at::Tensor resample_features(const at::Tensor& features, int64_t num_frames);
 /// How encode_speech and SpeechStream work through speech of any length.
 struct EncodeOptions {
   // Longest piece encoded at once, context and lookahead included. Clips up to it are one piece.
-  double window_s = 20.0;
+  // Memory grows with it, the difference from one pass over the clip shrinks (encode_speech).
+  double window_s = 40.0;
   // Speech before the part of a piece that is used, at least 0.1.
   double context_s = 2.0;
   // Speech after it; in a stream, part of the delay. 0: as long as context_s.
@@ -82,7 +83,11 @@ int64_t num_motion_frames(int64_t num_samples, double fps);
 ///
 /// Longer clips are encoded in pieces that overlap and are cross-faded: memory grows only with the
 /// result. Normalisation sees the whole clip (EncodeOptions::streamable), so that the convolutions
-/// give what they give in one pass; the transformer sees a piece with its context.
+/// give what they give in one pass; the transformer sees a piece with its context. What remains is
+/// that its attention averages over all that it sees: a piece's average is an estimate of the
+/// clip's, so the difference falls with the square root of window_s, and more context changes
+/// nothing. Relative to one pass over 158 s of speech the shipped encoder's features differ by
+/// 0.22 (window_s 6), 0.16 (12), 0.125 (20), 0.087 (40), 0.065 (60), root mean square.
 /// @param encoder left as it was (device, training mode)
 /// @param samples (S,) float in [-1, 1], 16 kHz, not normalised; moved to the encoder's device
 /// piece by piece

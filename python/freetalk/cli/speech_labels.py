@@ -89,7 +89,8 @@ def _print(result: dict[str, Any]) -> None:
     for name, scores in result["sets"].items():
         print(
             f"  {name:24s} {100 * scores['accuracy']:5.1f} % of {scores['frames']} frames, "
-            f"{100 * scores['accuracy_speech']:5.1f} % without silence"
+            f"{100 * scores['accuracy_speech']:5.1f} % without silence "
+            f"(largest class alone {100 * scores['largest_class']:.1f} %)"
         )
 
 

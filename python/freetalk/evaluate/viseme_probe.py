@@ -133,7 +133,10 @@ def confusion_matrix(
 
 
 def scores_of(counts: Confusion) -> dict[str, Any]:
-    """Accuracy over all frames and over those of speech, recall of each class, and the counts."""
+    """Accuracy over all frames and over those of speech, recall of each class, and the counts.
+
+    ``largest_class`` is the accuracy of always answering with the most frequent class, for comparison.
+    """
     speech = np.delete(counts, SILENCE, axis=0)
     correct = np.diagonal(counts)
     recall = correct / np.maximum(counts.sum(axis=1), 1)
@@ -141,6 +144,7 @@ def scores_of(counts: Confusion) -> dict[str, Any]:
         "frames": int(counts.sum()),
         "accuracy": float(correct.sum() / max(1, counts.sum())),
         "accuracy_speech": float((correct.sum() - correct[SILENCE]) / max(1, speech.sum())),
+        "largest_class": float(counts.sum(axis=1).max() / max(1, counts.sum())),
         "recall": {name: float(value) for name, value in zip(VISEMES, recall)},
         "confusion": counts.tolist(),
     }
