@@ -27,7 +27,7 @@ from freetalk.tables.report import load_result, make_result, markdown
 from freetalk.tables.scoring import lip_edges, roughness
 from freetalk.tables.sets import FULL_FAMILIES, OPEN_SETS, SMALL_FAMILIES, Catalogue, parse_sets
 from freetalk.tables.sizes import SIZES, TINY
-from freetalk.tables.table import TableRun
+from freetalk.tables.table import TableRun, merged
 from freetalk.tables.views import DatasetView, ViewOptions
 from freetalk.train.stm_meshes import prepare_mesh
 
@@ -144,21 +144,20 @@ def scored(**means: float) -> dict[str, dict[str, object]]:
     """Rows of 30 clips with a spread of their own that all rows share."""
     rng = np.random.default_rng(0)
     level, noise = rng.uniform(0.5, 1.5, 30), rng.normal(0, 0.02, (len(means), 30))
-    return {
-        name: {
-            "scores": {
-                "SET": {
-                    "values": {"lve": {str(i): float(mean * level[i] + own[i]) for i in range(30)}},
-                    "frames": {str(i): 20 + i for i in range(30)},
-                }
-            }
-        }
-        for (name, mean), own in zip(means.items(), noise, strict=True)
+    return {name: one_run(mean * level + own) for (name, mean), own in zip(means.items(), noise)}
+
+
+def one_run(values: np.ndarray) -> dict[str, object]:
+    """A row of one run with these values of its clips."""
+    own = {
+        "values": {"lve": {str(i): float(value) for i, value in enumerate(values)}},
+        "frames": {str(i): 20 + i for i in range(len(values))},
     }
+    return merged("", [{"scores": {"SET": own}, "trainings": []}])
 
 
-def verdict(claim: Claim, rows: dict[str, dict[str, object]], repeats: tuple[str, ...] = ()) -> str:
-    (found,) = judge([claim], rows, repeats)
+def verdict(claim: Claim, rows: dict[str, dict[str, object]]) -> str:
+    (found,) = judge([claim], rows)
     return found.outcome
 
 
@@ -177,17 +176,20 @@ def test_a_claim_of_likeness_asks_for_the_whole_interval() -> None:
 
 
 def test_what_seeds_change_widens_the_interval() -> None:
-    rows = scored(low=1.0, high=1.1, **{"low, seed 1": 1.1, "low, seed 2": 0.9})
+    seeds = scored(a=0.9, b=1.0, c=1.1, high=1.1)
+    runs = [row["runs"][0] for name, row in seeds.items() if name != "high"]
+    several = {"low": merged("low", runs), "high": seeds["high"]}
+    single = {**several, "low": {**several["low"], "runs": runs[:1]}}
     claim = Claim("", "", ("low",), ("high",))
-    repeats = ("low", "low, seed 1", "low, seed 2")
-    (alone,), (with_seeds,) = judge([claim], rows), judge([claim], rows, repeats)
+    (alone,), (widened,) = judge([claim], single), judge([claim], several)
     assert alone.outcome == HELD
-    assert with_seeds.outcome == UNDECIDED
-    assert with_seeds.seed_spread == pytest.approx(0.1, rel=0.05)  # noise of the clips
-    # t at 97.5 % for 2 degrees of freedom times s sqrt(1 + 1), joined with the interval of the clips.
-    extra = 4.303 * with_seeds.seed_spread * np.sqrt(2)
+    assert widened.outcome == UNDECIDED
+    assert alone.difference == widened.difference == pytest.approx(-0.09, abs=0.01)
+    assert widened.seed_spread == pytest.approx(0.1, rel=0.05)  # noise of the clips
+    # t at 97.5 % for 2 degrees of freedom; three runs of one row, one of the other.
+    extra = 4.303 * widened.seed_spread * np.sqrt(1 / 3 + 1)
     expected = np.hypot(alone.high - alone.difference, extra)
-    assert with_seeds.high - with_seeds.difference == pytest.approx(expected)
+    assert widened.high - widened.difference == pytest.approx(expected, rel=1e-3)
 
 
 def test_several_rows_count_by_their_mean_and_missing_ones_are_passed_over() -> None:
@@ -218,14 +220,7 @@ def test_a_killed_table_goes_on_after_its_last_row(corpus: Path, tmp_path: Path)
     assert first.stat().st_mtime_ns == written
     result = load_result(tmp_path / "out/supp_2.json")
     names = [row["name"] for row in result["rows"]]
-    assert names == [
-        "concat",
-        "ca",
-        "ca_concat",
-        "gcn_ca_concat",
-        "gcn_ca_concat, seed 1",
-        "still face",
-    ]
+    assert names == ["concat", "ca", "ca_concat", "gcn_ca_concat", "still face"]
     assert (tmp_path / "out/supp_2.png").read_bytes().startswith(b"\x89PNG")
 
     # Another table's row of the same training is not trained again; other steps are another training.
@@ -241,7 +236,9 @@ def test_a_killed_table_goes_on_after_its_last_row(corpus: Path, tmp_path: Path)
 def test_a_row_scores_what_its_weights_give(corpus: Path, tmp_path: Path) -> None:
     catalogue = Catalogue([f"{n}={corpus}" for n in ("VOCASET", "BIWI", "Multiface")], {})
     table = TABLES["supp_2"](Recipes(TINY, 0), ())
-    (row,) = TableRun(table, catalogue, tmp_path).rows(["gcn_ca_concat"])
+    (both,) = TableRun(table, catalogue, tmp_path).rows(["gcn_ca_concat"], seeds=[0, 1])
+    row, other = both["runs"]
+    assert [run["trainings"][0]["seed"] for run in both["runs"]] == [0, 1]
     directory = tmp_path / "trainings" / f"stm-{row['trainings'][0]['key']}" / "stm"
     stm = Stm.from_pretrained(directory).eval()
     view = catalogue.view("BIWI", table.view)
@@ -255,7 +252,10 @@ def test_a_row_scores_what_its_weights_give(corpus: Path, tmp_path: Path) -> Non
     lips = view.mesh(identity, topology).lip_mask
     expected = 1e6 * error[:, lips].max(axis=1).mean()
     # The table decodes with the fast decoder: sums in another order.
-    assert row["scores"]["BIWI"]["values"]["lve"][clip.id] == pytest.approx(expected, rel=1e-3)
+    values = [one["scores"]["BIWI"]["values"]["lve"][clip.id] for one in (row, other, both)]
+    assert values[0] == pytest.approx(expected, rel=1e-3)
+    assert values[1] != values[0]
+    assert values[2] == pytest.approx((values[0] + values[1]) / 2)
 
 
 def test_speech_moves_meshes_of_mixed_datasets(corpus: Path, own: Path, tmp_path: Path) -> None:
@@ -271,11 +271,11 @@ def test_speech_moves_meshes_of_mixed_datasets(corpus: Path, own: Path, tmp_path
     assert main("table_2", arguments) == 0
     result = load_result(tmp_path / "out/table_2.json")
     scores = {row["name"]: row["scores"]["MEAD-EMOTE"] for row in result["rows"]}
-    assert list(scores) == ["2 + 2,3", "2 + 2", "2 + 2, seed 1", "still face", "Perfect"]
+    assert list(scores) == ["2 + 2,3", "2 + 2", "still face", "Perfect"]
     assert scores["Perfect"]["lve"]["mean"] == 0
     assert all(scores[name]["lve"]["mean"] > 0 for name in scores if name != "Perfect")
     own_row = next(row for row in result["rows"] if row["name"] == "2 + 2")
-    assert [one["kind"] for one in own_row["trainings"]] == ["stm", "ats"]
+    assert [one["kind"] for one in own_row["runs"][0]["trainings"]] == ["stm", "ats"]
     assert own_row["paper"]["MEAD-EMOTE"]["lve"] == 13.8
 
 
@@ -283,7 +283,7 @@ def test_the_report_says_what_was_run_and_ends_with_the_claims(corpus: Path) -> 
     catalogue = Catalogue([str(corpus)], SMALL_FAMILIES)
     table = TABLES["supp_2"](Recipes(SIZES["small"], 3), ())
     rows = scored(concat=4.0, ca=3.0, ca_concat=2.0, gcn_ca_concat=2.001)
-    listed = [{"name": name, "trainings": [], **row} for name, row in rows.items()]
+    listed = [{**row, "name": name} for name, row in rows.items()]
     result = make_result(table, listed, SIZES["small"], catalogue, "python x.py", 3)
     text = markdown(result)
     assert "Different data" in text
@@ -292,9 +292,9 @@ def test_the_report_says_what_was_run_and_ends_with_the_claims(corpus: Path) -> 
     assert "paper's LVE (other data)" in text
     assert "0.0025" in next(line for line in text.splitlines() if line.startswith("| ca "))
     ending = text[text.index("## Claims of the paper") :]
-    assert "| ca_concat beats ca | supp. Table 2: 0.0023 and 0.0025 | **held** |" in ending
+    assert "| ca_concat beats ca (LVE) | supp. Table 2: 0.0023 and 0.0025 | **held** |" in ending
     assert (
-        "| gcn_ca_concat beats ca_concat | supp. Table 2: 0.0021 and 0.0023 | **not decided"
+        "| gcn_ca_concat beats ca_concat (LVE) | supp. Table 2: 0.0021 and 0.0023 | **not decided"
         in ending
     )
     json.dumps(result)  # nothing in it that JSON does not know

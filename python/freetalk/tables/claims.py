@@ -8,13 +8,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
+from scipy import stats
 
 from freetalk import metrics
 
 HELD, OPPOSITE, UNDECIDED = "held", "did not hold", "not decided by this budget"
-#: Student's t at 97.5 % for 1, 2, ... degrees of freedom.
-_QUANTILES = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228)
 _Clip = tuple[str, str]
 
 
@@ -56,7 +54,7 @@ class Verdict:
             claims (Holm); 1 for a claim with a margin, which asks no such question.
         clips: how many were compared.
         seed_spread: standard deviation of a row's mean over seeds, as a share of it, that the interval
-            includes; 0 where no row has several.
+            includes; 0 where no row has several runs.
     """
 
     claim: Claim
@@ -85,28 +83,25 @@ class Verdict:
 
 
 def judge(
-    claims: Sequence[Claim],
-    rows: Mapping[str, Mapping[str, Any]],
-    repeats: Sequence[str] = (),
-    seed: int = 0,
+    claims: Sequence[Claim], rows: Mapping[str, Mapping[str, Any]], seed: int = 0
 ) -> list[Verdict]:
     """Verdicts on the claims whose rows are there.
 
     The interval of a difference is bootstrapped over clips (BCa, 95 %), each weighted by its frames, and
-    widened by what another seed changes: t s sqrt(1/n + 1/m) for n and m rows, s the spread of `repeats`,
-    t Student's quantile. A claim of order held where the whole interval is below 0, and its opposite where
-    it is above.
+    widened by what other seeds change: t s sqrt(v), where s is the standard deviation of a row's mean over
+    its runs, as a share of it, pooled over all rows that have several, t Student's quantile for its degrees
+    of freedom, and v = sum 1 / (n^2 k) over the n rows of each side with k runs. A claim of order held where
+    the whole interval is below 0, and its opposite where it is above.
 
     Args:
         claims: of a table.
-        rows: results by name, each with ``scores``.
-        repeats: rows that differ in their seed alone.
+        rows: results by name, each with ``scores`` and ``runs``.
         seed: of the bootstrap.
     """
     found = []
     for claim in claims:
         if all(name in rows for name in (*claim.less, *claim.more)):
-            verdict = _judge(claim, rows, [name for name in repeats if name in rows], seed)
+            verdict = _judge(claim, rows, seed)
             if verdict is not None:
                 found.append(verdict)
     ordered = [at for at, verdict in enumerate(found) if verdict.claim.margin == 0]
@@ -116,9 +111,7 @@ def judge(
     return found
 
 
-def _judge(
-    claim: Claim, rows: Mapping[str, Mapping[str, Any]], repeats: Sequence[str], seed: int
-) -> Verdict | None:
+def _judge(claim: Claim, rows: Mapping[str, Mapping[str, Any]], seed: int) -> Verdict | None:
     sides = [[_values(rows[name], claim) for name in side] for side in (claim.less, claim.more)]
     clips = [c for c in sides[0][0] if all(c in one for side in sides for one in side)]
     if len(clips) < 2:
@@ -130,9 +123,13 @@ def _judge(
     )
     scale = float((more * weights).sum() / weights.sum()) or 1.0
     interval = metrics.bootstrap_mean((less - more) / scale, weights, seed=seed)
-    means = [_mean(_values(rows[name], claim), clips, weights) for name in repeats]
-    spread, quantile = _spread(means)
-    extra = quantile * spread * math.sqrt(1 / len(claim.less) + 1 / len(claim.more))
+    spread, quantile = _seed_spread(claim, rows)
+    shares = [
+        1 / (len(side) ** 2 * len(rows[name]["runs"]))
+        for side in (claim.less, claim.more)
+        for name in side
+    ]
+    extra = quantile * spread * math.sqrt(sum(shares))
     low = interval.mean - math.hypot(interval.mean - interval.low, extra)
     high = interval.mean + math.hypot(interval.high - interval.mean, extra)
     p_value = 1.0
@@ -142,13 +139,17 @@ def _judge(
     return Verdict(claim, outcome, interval.mean, low, high, p_value, len(clips), spread)
 
 
-def _spread(means: Sequence[float]) -> tuple[float, float]:
-    """Standard deviation as a share of the mean, and the t quantile of its degrees of freedom."""
-    if len(means) < 2:
+def _seed_spread(claim: Claim, rows: Mapping[str, Mapping[str, Any]]) -> tuple[float, float]:
+    """Pooled standard deviation of a row's mean over its runs, as a share, and the t quantile."""
+    squares, degrees = 0.0, 0
+    for row in rows.values():
+        means = [_mean(run, claim) for run in row["runs"]]
+        if len(means) > 1:
+            squares += (len(means) - 1) * float(np.var(means, ddof=1)) / float(np.mean(means)) ** 2
+            degrees += len(means) - 1
+    if degrees == 0:
         return 0.0, 0.0
-    degrees = len(means) - 1
-    quantile = _QUANTILES[min(degrees, len(_QUANTILES)) - 1]
-    return float(np.std(means, ddof=1) / np.mean(means)), quantile
+    return math.sqrt(squares / degrees), float(stats.t.ppf(0.975, degrees))
 
 
 def _outcome(low: float, high: float, margin: float) -> str:
@@ -161,10 +162,9 @@ def _outcome(low: float, high: float, margin: float) -> str:
     return OPPOSITE if low > 0 else UNDECIDED
 
 
-def _mean(
-    values: Mapping[_Clip, float], clips: Sequence[_Clip], weights: npt.NDArray[np.float64]
-) -> float:
-    return float(np.average([values[clip] for clip in clips], weights=weights))
+def _mean(run: Mapping[str, Any], claim: Claim) -> float:
+    values, frames = _values(run, claim), _frames(run)
+    return float(np.average(list(values.values()), weights=[frames[clip] for clip in values]))
 
 
 def _values(row: Mapping[str, Any], claim: Claim) -> dict[_Clip, float]:

@@ -34,7 +34,8 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
     table = TABLES[name](recipes, given.settings)
     run = TableRun(table, catalogue, given.work / size.name, given.speech, size.sampler)
     try:
-        rows = run.rows(given.rows)
+        seeds = range(given.seed, given.seed + (given.seeds or size.seeds))
+        rows = run.rows(given.rows, seeds)
     except StoppedError as error:
         print(f"{error}; the same command goes on from there", file=sys.stderr)
         return 130
@@ -88,7 +89,13 @@ def _parser(name: str) -> argparse.ArgumentParser:
         help="another system's predictions of the test clips; repeatable",
     )
     parser.add_argument("--speech", default="", help="folder of the speech encoder")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=0, help="the first seed")
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        default=0,
+        help="trainings of each row, by seed; 2 at size small, else 1",
+    )
     parser.add_argument(
         "overrides", nargs="*", help="stm.section.key=value and ats.section.key=value"
     )

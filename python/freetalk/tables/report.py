@@ -54,7 +54,7 @@ def make_result(
     """Everything that the files say: what was run, pooled scores with intervals, verdicts, scores of clips."""
     printed = {row.name: row.paper for row in table.rows}
     groups = (ALL,) if table.pooled else table.tests
-    verdicts = judge(table.claims, {row["name"]: row for row in rows}, table.repeats, seed)
+    verdicts = judge(table.claims, {row["name"]: row for row in rows}, seed)
     return {
         "format": FORMAT,
         "version": 1,
@@ -69,7 +69,6 @@ def make_result(
         "tests": list(table.tests),
         "clips": asdict(table.view),
         "notes": list(table.notes),
-        "repeats": list(table.repeats),
         "metrics": [
             {"metric": name, "title": title_of(name), "unit": unit_of(name)}
             for name in table.metrics
@@ -79,11 +78,17 @@ def make_result(
             {
                 "name": row["name"],
                 "paper": {k: dict(v) for k, v in printed.get(row["name"], {}).items()},
-                "trainings": row["trainings"],
-                "commit": row.get("commit"),
-                "predictions": row.get("predictions"),
                 "scores": {group: _pooled(row, group, table.metrics, seed) for group in groups},
-                "clips": _rounded(row["scores"]),
+                "runs": [
+                    {
+                        "trainings": run["trainings"],
+                        "commit": run.get("commit"),
+                        "predictions": run.get("predictions"),
+                        "means": {g: _means(run, g, table.metrics) for g in groups},
+                        "clips": _rounded(run["scores"]),
+                    }
+                    for run in row["runs"]
+                ],
             }
             for row in rows
         ],
@@ -114,8 +119,8 @@ def _heading(result: Mapping[str, Any]) -> str:
     lines = [
         where,
         f"- command: `{result['command']}`",
-        f"- size {result['size']}, seed {result['seed']}, commit {result['commit'][:12]}; rows have one "
-        "seed and one number of steps",
+        f"- size {result['size']}, seed {result['seed']}, commit {result['commit'][:12]}; rows have the "
+        "same seeds and the same number of steps",
         f"- data: {'; '.join(data)}",
         f"- scored on {', '.join(result['tests'])}: test split, faces and meshings that no row was trained on"
         if result["is_open"]
@@ -132,6 +137,9 @@ def _scores(result: Mapping[str, Any], group: str) -> str:
     single = _single_paper_metric(result, group)
     if single:
         header.append(f"paper's {single['title']} (other data)")
+    several = any(len(row["runs"]) > 1 for row in result["rows"])
+    if several:
+        header.append(f"{shown[0]['title']} by seed")
     best = _best(result, group)
     lines = []
     for row in result["rows"]:
@@ -144,32 +152,38 @@ def _scores(result: Mapping[str, Any], group: str) -> str:
         if single:
             value = paper.get(single["metric"])
             cells.append("" if value is None else f"{value:g}")
+        if several:
+            own = [run["means"][group].get(shown[0]["metric"]) for run in row["runs"]]
+            cells.append(", ".join(number(v, 3) for v in own) if len(own) > 1 else "")
         lines.append(cells)
         if paper and not single:
-            own = [paper.get(m["metric"]) for m in shown]
-            lines.append(["*paper, other data*", *("" if v is None else f"*{v:g}*" for v in own)])
+            printed = [paper.get(m["metric"]) for m in shown]
+            shares = ["" if v is None else f"*{v:g}*" for v in printed]
+            lines.append(["*paper, other data*", *shares, *([""] if several else [])])
     return _grid(header, lines)
 
 
 def _trainings(result: Mapping[str, Any]) -> str:
     lines = []
     for row in result["rows"]:
-        for one in row["trainings"]:
-            clips = _clips(one["data"])
+        runs = row["runs"]
+        for at, one in enumerate(runs[0]["trainings"]):
+            seeds = ", ".join(str(run["trainings"][at]["seed"]) for run in runs)
             lines.append(
                 [
                     row["name"],
                     one["kind"],
                     ", ".join(one["sets"]),
-                    f"{clips}",
+                    f"{_clips(one['data'])}",
                     f"{one['steps']}",
                     f"{one['parameters']:,}",
+                    seeds,
                     f"`{' '.join([one['config'], *one['overrides']])}`",
                 ]
             )
-        if row["predictions"]:
-            lines.append([row["name"], "predictions", "", "", "", "", f"`{row['predictions']}`"])
-    header = ["row", "stage", "datasets", "clips", "steps", "parameters", "configuration"]
+        if runs[0]["predictions"]:
+            lines.append([row["name"], "predictions", *[""] * 5, f"`{runs[0]['predictions']}`"])
+    header = ["row", "stage", "datasets", "clips", "steps", "parameters", "seeds", "configuration"]
     return _grid(header, lines)
 
 
@@ -188,11 +202,12 @@ def _claims(result: Mapping[str, Any]) -> str:
         for claim in result["claims"]
     ]
     header = ["claim", "in the paper", "here", "difference", "p", "clips"]
-    spread = max(claim["seed_spread"] for claim in result["claims"])
+    spreads = {claim["metric"]: claim["seed_spread"] for claim in result["claims"]}
+    shown = [f"{title_of(name)} {100 * spread:.1f} %" for name, spread in spreads.items() if spread]
     seeds = (
-        f"Intervals include what another seed changes, as measured on {', '.join(result['repeats'])}: a standard "
-        f"deviation of up to {100 * spread:.1f} % of a row's mean."
-        if spread > 0
+        "Intervals include what other seeds change; standard deviation of a row's mean over seeds, pooled: "
+        f"{', '.join(shown)}."
+        if shown
         else "Each row is one training: intervals do not include what another seed changes."
     )
     footer = (
@@ -227,6 +242,21 @@ def _pooled(
     return found
 
 
+def _means(run: RowResult, group: str, names: Sequence[str]) -> dict[str, float]:
+    """Means of one run, without intervals."""
+    found = {}
+    for name in names:
+        pairs = [
+            (value, scores["frames"][clip] if pooling_of(name) == "frames" else 1)
+            for test, scores in run["scores"].items()
+            if group in (ALL, test)
+            for clip, value in scores["values"].get(name, {}).items()
+        ]
+        if pairs:
+            found[name] = sum(v * w for v, w in pairs) / sum(w for _, w in pairs)
+    return found
+
+
 def _rounded(scores: Mapping[str, Any]) -> dict[str, Any]:
     return {
         test: {
@@ -254,7 +284,7 @@ def _best(result: Mapping[str, Any], group: str) -> dict[str, str]:
         means = {
             row["name"]: abs(row["scores"][group][m["metric"]]["mean"])
             for row in result["rows"]
-            if m["metric"] in row["scores"][group] and row["name"] not in result["repeats"][1:]
+            if m["metric"] in row["scores"][group]
         }
         if len(means) > 1:
             best[m["metric"]] = min(means, key=lambda name: means[name])

@@ -23,7 +23,7 @@ class Size:
         ats: clips that the audio-to-landmarks stage is trained on and whole pipelines are scored on.
         families: meshings of the open corpus's counterparts.
         sampler: options of the diffusion's sampling.
-        repeats: further seeds that one row of each table is trained with.
+        seeds: how many seeds each row is trained with, where the command does not say.
     """
 
     name: str
@@ -35,7 +35,7 @@ class Size:
     ats: ViewOptions
     families: Mapping[str, Meshings]
     sampler: Mapping[str, object] = field(default_factory=dict)
-    repeats: int = 2
+    seeds: int = 1
 
 
 _TINY_VIEW = ViewOptions(
@@ -82,7 +82,6 @@ TINY = Size(
     ),
     families=SMALL_FAMILIES,
     sampler={"sampler": "dpmpp", "num_steps": 2},
-    repeats=1,
 )
 
 # 10 fps, 15 to 30 frames and half of the sequences are the protocol of [FreeTalk supp. 3]. The test split keeps
@@ -110,6 +109,7 @@ SMALL = Size(
     ),
     families=SMALL_FAMILIES,
     sampler={"sampler": "dpmpp", "num_steps": 20},
+    seeds=2,
 )
 
 FULL = Size(

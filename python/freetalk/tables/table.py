@@ -7,7 +7,7 @@ import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +45,16 @@ class Row:
     ats: Training | None
     paper: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
+    def again(self, seed: int) -> Row:
+        """The same row trained with another seed."""
+
+        def seeded(training: Training | None) -> Training | None:
+            if training is None:
+                return None
+            return replace(training, overrides=(*training.overrides, f"loop.seed={seed}"))
+
+        return Row(f"{self.name}, seed {seed}", seeded(self.stm), seeded(self.ats), self.paper)
+
 
 @dataclass(frozen=True)
 class Table:
@@ -60,7 +70,6 @@ class Table:
         claims: what the paper says of it.
         notes: what a reader must know, a sentence each.
         pooled: one number over all test sets, instead of one a set.
-        repeats: names of rows that differ in their seed alone.
     """
 
     name: str
@@ -72,7 +81,6 @@ class Table:
     claims: tuple[Claim, ...] = ()
     notes: tuple[str, ...] = ()
     pooled: bool = False
-    repeats: tuple[str, ...] = ()
 
 
 class TableRun:
@@ -104,8 +112,12 @@ class TableRun:
             self._check_masks()
         self._speakers: dict[str, Speaker] = {}
 
-    def rows(self, only: Sequence[str] = ()) -> list[RowResult]:
-        """Results of all rows, or of those named; finished ones are read back.
+    def rows(self, only: Sequence[str] = (), seeds: Sequence[int] = (0,)) -> list[RowResult]:
+        """Results of all rows, or of those named, averaged over seeds; finished ones are read back.
+
+        Args:
+            only: names of rows; empty: all.
+            seeds: the first is that of the table's trainings, the others are trained besides.
 
         Raises:
             ValueError: no row is called so.
@@ -114,7 +126,15 @@ class TableRun:
         unknown = [name for name in only if name not in known]
         if unknown:
             raise ValueError(f"no row {unknown[0]!r} in this table; rows: {', '.join(known)}")
-        return [self._row(row) for row in self.table.rows if not only or row.name in only]
+        wanted = [row for row in self.table.rows if not only or row.name in only]
+        runs: dict[str, list[RowResult]] = {row.name: [] for row in wanted}
+        for turn, seed in enumerate(seeds):
+            for row in wanted:
+                if turn == 0:
+                    runs[row.name].append(self._row(row))
+                elif row.stm is not None or row.ats is not None:
+                    runs[row.name].append(self._row(row.again(seed)))
+        return [merged(name, own) for name, own in runs.items()]
 
     def stored(self, row: Row) -> RowResult | None:
         """A row that was made before with the same trainings and scores."""
@@ -149,9 +169,8 @@ class TableRun:
                 )
                 values = {metric: found.values[metric][name] for metric in names}
                 scores[test] = ClipScores(values, found.frames).to_dict()
-            results.append(
-                {"name": name, "predictions": str(directory), "trainings": [], "scores": scores}
-            )
+            run = {"predictions": str(directory), "trainings": [], "scores": scores}
+            results.append(merged(name, [run]))
         return results
 
     def _check_masks(self) -> None:
@@ -228,3 +247,26 @@ class TableRun:
         }
         text = json.dumps(content, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def merged(name: str, runs: Sequence[RowResult]) -> RowResult:
+    """A row of several runs: the mean of their values clip by clip, and the runs."""
+    first = runs[0]["scores"]
+    return {
+        "name": name,
+        "runs": list(runs),
+        "scores": {
+            test: {
+                "frames": own["frames"],
+                "values": {
+                    metric: {
+                        clip: sum(run["scores"][test]["values"][metric][clip] for run in runs)
+                        / len(runs)
+                        for clip in values
+                    }
+                    for metric, values in own["values"].items()
+                },
+            }
+            for test, own in first.items()
+        },
+    }
