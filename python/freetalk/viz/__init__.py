@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from freetalk.viz.appearance import part_labels
 from freetalk.viz.cavities import boundary_rims
+from freetalk.viz.heat import heat_map, heat_sheet
 from freetalk.viz.pictures import (
     contact_sheet,
     landmark_plot,
@@ -24,6 +25,8 @@ __all__ = [
     "boundary_rims",
     "check_video_support",
     "contact_sheet",
+    "heat_map",
+    "heat_sheet",
     "landmark_plot",
     "part_labels",
     "render_frame",

@@ -164,6 +164,11 @@ class FaceRenderer:
             self._mouth_mesh.points[:] = self._mouth.points(moved)
             self._mouth_mesh.GetPoints().Modified()
 
+    def paint(self, colors: NDArray[Any]) -> None:
+        """Gives the vertices (V, 3) colours in [0, 1] in place of skin."""
+        self._mesh.point_data["color"][:] = np.clip(255 * colors, 0, 255).astype(np.uint8)
+        self._mesh.Modified()
+
     def image(self, points: NDArray[Any]) -> Image:
         """Draws the face at (V, 3) ``points`` in the mesh's own unit and axes.
 
