@@ -3,8 +3,9 @@
 
 The other side is the network written out in plain PyTorch (tests/python/plain_nets.py): mesh features computed
 once, landmarks attended to, [f, g, c] concatenated, frames batched by eight, gradients as sparse products.
-Medians are printed. Weights are the paper's size and drawn at random, last layer and diffusion times included,
-or the shipped ones. Run on an idle machine:
+Medians are printed, of the time that passes and of the processors' time, which other programs on the machine
+disturb less. Weights are the paper's size and drawn at random, last layer and diffusion times included, or the
+shipped ones. Run on an idle machine:
 
     python scripts/bench/stm.py                      # speed at 5,023 vertices, float32 and bfloat16
     python scripts/bench/stm.py --weights shipped    # the same with the shipped weights
@@ -124,16 +125,21 @@ class PlainDecoder:
         return torch.cat(parts)
 
 
-def in_turns(sides: dict[str, Callable[[], Any]], rounds: int) -> dict[str, float]:
-    """Median seconds of each side, timed one after the other, ``rounds`` times, after a warm-up."""
-    seconds: dict[str, list[float]] = {name: [] for name in sides}
+def in_turns(sides: dict[str, Callable[[], Any]], rounds: int) -> dict[str, tuple[float, float]]:
+    """Median seconds that pass and of all processors, of sides timed in turns ``rounds`` times, warm."""
+    seconds: dict[str, list[tuple[float, float]]] = {name: [] for name in sides}
     for turn in range(rounds + 1):
         for name, run in sides.items():
-            start = time.perf_counter()
+            start = time.perf_counter(), time.process_time()
             run()
             if turn > 0:
-                seconds[name].append(time.perf_counter() - start)
-    return {name: statistics.median(values) for name, values in seconds.items()}
+                seconds[name].append(
+                    (time.perf_counter() - start[0], time.process_time() - start[1])
+                )
+    return {
+        name: (statistics.median(s[0] for s in values), statistics.median(s[1] for s in values))
+        for name, values in seconds.items()
+    }
 
 
 def prepare(model: Stm, count: int) -> tuple[torch.Tensor, Any]:
@@ -168,12 +174,15 @@ def speed(arguments: argparse.Namespace) -> None:
     exact = plain.decode(landmarks)
     print(f"{arguments.vertices} vertices, {arguments.weights} weights, {arguments.frames} frames, "
           f"{torch.get_num_threads()} threads")  # fmt: skip
-    for name, seconds in medians.items():
+    for name, (seconds, processors) in medians.items():
         line = f"{name:9} {arguments.frames / seconds:6.1f} frames/s"
+        line += f"  {1000 * processors / arguments.frames:6.1f} ms of processors a frame"
         if name in fast:
             error = (fast[name].decode(landmarks) - exact).norm(dim=-1).mean()
             relative = float(error / exact.norm(dim=-1).mean())
-            line += f"  {medians['plain'] / seconds:5.2f} x  error {100 * relative:.4f} % of motion"
+            plain_seconds, plain_processors = medians["plain"]
+            line += f"  {plain_seconds / seconds:5.2f} x, {plain_processors / processors:5.2f} x"
+            line += f"  error {100 * relative:.4f} % of motion"
         print(line)
 
 

@@ -1,4 +1,4 @@
-#include "kd_order.h"
+#include "freetalk/geometry/kd_order.h"
 
 #include <algorithm>
 #include <numeric>

@@ -3,7 +3,7 @@
 
 #include <Eigen/Core>
 
-#include "kd_order.h"
+#include "freetalk/geometry/kd_order.h"
 
 namespace freetalk::geometry {
 

@@ -6,7 +6,7 @@
 #include <utility>
 #include <vector>
 
-#include "kd_order.h"
+#include "freetalk/geometry/kd_order.h"
 
 namespace freetalk::geometry {
 namespace {

@@ -1,11 +1,11 @@
 // A DiffusionNet on one mesh for inference on a CPU, many frames of it, without autograd.
 //
-// A block needs of the mesh only Phi, (G_x Phi), (G_y Phi) and M Phi: diffusion is a product with
-// the spectrum s = exp(-lambda t) Phi^T M x, and so are the gradients of what it makes. Once s is
-// known, every vertex goes through the block by itself: frames go through in tiles of rows that
-// stay in the cache, and the next block's Phi^T M x is summed up on the way. Products and the
-// passes between them run in float32 or, where the processor multiplies it, in bfloat16 with
-// float32 sums, residuals and spectra.
+// A block needs of the mesh only Phi, M Phi and the sparse gradients: with the spectrum
+// s = exp(-lambda t) Phi^T M x, what is diffused is Phi s, and what the gradient features multiply
+// it with is Phi (s A). Once their gradients are known, every vertex goes through the block by
+// itself: vertices go through in tiles of rows that stay in the cache, neighbours close together,
+// and the next block's Phi^T M x is summed up on the way. Products run in float32 or, where the
+// processor multiplies it, in bfloat16 with float32 sums, residuals, spectra and gradients.
 #pragma once
 
 #include <ATen/core/Tensor.h>

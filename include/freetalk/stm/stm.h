@@ -129,7 +129,7 @@ struct DecodeOptions {
   // "float32", or "bfloat16": products in bfloat16 with float32 sums, where the processor or GPU
   // multiplies it; elsewhere float32.
   std::string precision = "float32";
-  int64_t memory_bytes = int64_t{128} << 20;  // working memory; the least is that of one frame
+  int64_t memory_bytes = int64_t{256} << 20;  // working memory; the least is that of one frame
   template <class V>
   void fields(V& v) {
     v("precision", precision);

@@ -1,0 +1,405 @@
+// The decoder of fused_diffusion.h in one element type.
+#pragma once
+
+#include <ATen/Parallel.h>
+#include <torch/torch.h>
+
+#include <algorithm>
+#include <atomic>
+#include <initializer_list>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "freetalk/nn/fused_diffusion.h"
+#include "fused_kernels.h"
+#include "mesh_rows.h"
+
+namespace freetalk::nn {
+
+class FusedDiffusion::Engine {
+ public:
+  virtual ~Engine() = default;
+  virtual at::Tensor run(const FrameInputs& inputs, int64_t num_frames, int64_t in_work) const = 0;
+  virtual int64_t bytes_per_frame() const = 0;
+};
+
+namespace fused {
+
+inline constexpr int64_t kEigenBlock = 8;  // the accumulation kernel's rows
+inline constexpr int64_t kMaxKeys = 128;   // the softmax kernel's work space
+
+inline int64_t round_up(int64_t value, int64_t multiple) {
+  return (value + multiple - 1) / multiple * multiple;
+}
+
+inline at::Tensor plain(const at::Tensor& x) { return x.detach().to(at::kFloat).contiguous(); }
+
+/// (R, C) with zeros to (rows, columns).
+inline at::Tensor padded(const at::Tensor& x, int64_t rows, int64_t columns) {
+  at::Tensor result = at::zeros({rows, columns}, at::kFloat);
+  result.narrow(0, 0, x.size(0)).narrow(1, 0, x.size(1)).copy_(x);
+  return result;
+}
+
+template <class T>
+class FusedEngine final : public FusedDiffusion::Engine {
+ public:
+  FusedEngine(const Kernels<T>& kernels, DiffusionNetImpl& net,
+              const geometry::SurfaceOperators& operators, const at::Tensor& base,
+              const at::Tensor& queries)
+      : kernels_(kernels),
+        mesh_(operators),
+        vertices_(operators.num_vertices()),
+        tiles_((vertices_ + kTile - 1) / kTile),
+        width_(net.options().width),
+        outputs_(net.options().out_channels),
+        columns_(round_up(width_, kernels.panel)),
+        modes_(round_up(operators.k_eig(), kEigenBlock)) {
+    prepare_mesh(operators, base, queries);
+    for (DiffusionNetBlock block : net.blocks()) prepare_block(*block, operators.evals);
+    last_weight_ = padded(plain(net.last_lin->weight), outputs_, columns_);
+    last_bias_ = plain(net.last_lin->bias);
+  }
+
+  at::Tensor run(const FrameInputs& inputs, int64_t num_frames, int64_t in_work) const override {
+    at::Tensor result = at::empty({num_frames, vertices_, outputs_}, at::kFloat);
+    const FrameInputs prepared{inputs.offsets.defined()
+                                   ? padded(plain(inputs.offsets), num_frames, columns_)
+                                   : at::zeros({num_frames, columns_}, at::kFloat),
+                               inputs.keys.defined() ? plain(inputs.keys) : inputs.keys,
+                               inputs.values.defined() ? plain(inputs.values) : inputs.values};
+    std::atomic<int64_t> next{0};  // A thread that something else slows down takes fewer frames.
+    at::parallel_for(0, std::min(in_work, num_frames), 1, [&](int64_t begin, int64_t end) {
+      for (int64_t worker = begin; worker < end; ++worker) {
+        Work work(*this, prepared);
+        for (int64_t frame = next++; frame < num_frames; frame = next++) {
+          run_frame(prepared, frame, work, result.data_ptr<float>() + frame * vertices_ * outputs_);
+        }
+      }
+    });
+    return result;
+  }
+
+  int64_t bytes_per_frame() const override {
+    constexpr auto kFloat = static_cast<int64_t>(sizeof(float));
+    const int64_t of_vertex =
+        columns_ * (kFloat + static_cast<int64_t>(sizeof(T))) + field_row() * kFloat;
+    return vertices_ * of_vertex + (4 * kTile + 7 * modes_) * columns_ * kFloat;
+  }
+
+ private:
+  /// bfloat16 keeps eigenvectors as differences from their mean over a tile: gradients are made of
+  /// differences between neighbours, which would drown in the rounding of the whole.
+  static constexpr bool kCentred = !std::is_same_v<T, float>;
+
+  struct Block {
+    std::vector<T> a_re, a_im, of_x, of_diffused, of_products, second, third;
+    at::Tensor decay, bias[3];  // (modes, columns), (columns,)
+  };
+
+  /// A frame's state and a tile's.
+  struct Work {
+    std::vector<float> x, sums, spectrum, scores, fields, centres, of_project;
+    std::vector<T> packed[3], mixed, rows, z, element, first, second, grouped, weights;
+    std::vector<std::vector<T>> keys, values;  // of each head, packed
+
+    Work(const FusedEngine& e, const FrameInputs& inputs)
+        : x(size(e.vertices_ * e.columns_)),
+          sums(size(e.modes_ * e.columns_)),
+          spectrum(sums.size()),
+          fields(size(e.vertices_ * e.field_row())),
+          centres(size(kCentred ? e.tiles_ * e.field_row() : 0)),
+          of_project(size(kTile * e.outputs_)),
+          mixed(sums.size()),
+          rows(sums.size()),
+          z(x.size()),
+          element(size(kTile * e.columns_)),
+          first(element.size()),
+          second(element.size()),
+          grouped(element.size()) {
+      for (std::vector<T>& part : packed) part.resize(sums.size());
+      if (!inputs.keys.defined()) return;
+      const int64_t keys_padded = round_up(inputs.keys.size(2), e.kernels_.panel);
+      scores.assign(size(kTile * keys_padded), 0.0F);
+      weights.resize(scores.size());
+      keys.assign(size(inputs.keys.size(1)), std::vector<T>(size(keys_padded * e.head_columns_)));
+      values.assign(keys.size(), std::vector<T>(size(keys_padded * e.columns_)));
+    }
+    static size_t size(int64_t count) { return static_cast<size_t>(count); }
+  };
+
+  std::vector<T> rows_of(const at::Tensor& x) const {
+    std::vector<T> result(static_cast<size_t>(round_up(x.numel(), 16)));
+    const at::Tensor source =
+        at::constant_pad_nd(x.reshape({-1}), {0, static_cast<int64_t>(result.size()) - x.numel()});
+    kernels_.convert(source.const_data_ptr<float>(), source.numel(), result.data());
+    return result;
+  }
+
+  /// A (out, in) weight as a packed right operand (in, out).
+  std::vector<T> packed_weight(const at::Tensor& weight) const {
+    const at::Tensor square = padded(plain(weight), columns_, columns_).t().contiguous();
+    std::vector<T> result(static_cast<size_t>(square.numel()));
+    kernels_.pack(square.const_data_ptr<float>(), columns_, columns_, result.data());
+    return result;
+  }
+
+  void prepare_mesh(const geometry::SurfaceOperators& operators, const at::Tensor& base,
+                    const at::Tensor& queries) {
+    const at::Tensor evecs = plain(operators.evecs).index_select(0, mesh_.order);
+    basis_ = rows_of(padded(evecs, vertices_, modes_));
+    if constexpr (kCentred) centre(evecs);
+    const at::Tensor mass = plain(operators.mass).index_select(0, mesh_.order);
+    const at::Tensor weighted = padded(evecs * mass.unsqueeze(1), round_up(vertices_, 2), modes_);
+    weighted_.resize(static_cast<size_t>(weighted.numel()));
+    group_exact(weighted);
+    base_ = padded(plain(base).index_select(0, mesh_.order), vertices_, columns_);
+    if (!queries.defined()) return;
+    heads_ = queries.size(0);
+    head_columns_ = round_up(queries.size(2), kernels_.group);
+    for (int64_t head = 0; head < heads_; ++head) {
+      const at::Tensor ordered = plain(queries[head]).index_select(0, mesh_.order);
+      queries_.push_back(rows_of(padded(ordered, vertices_, head_columns_)));
+    }
+  }
+
+  /// The basis less its mean over each tile, and those means in two parts, exact to 2^-16.
+  void centre(const at::Tensor& evecs) {
+    at::Tensor rest = at::empty({vertices_, modes_}, at::kFloat);
+    at::Tensor means = at::zeros({tiles_, modes_}, at::kFloat);
+    const at::Tensor wide = padded(evecs, vertices_, modes_);
+    for (int64_t tile = 0; tile < tiles_; ++tile) {
+      const int64_t first = tile * kTile, rows = std::min(kTile, vertices_ - first);
+      means[tile].copy_(wide.narrow(0, first, rows).mean(0));
+      rest.narrow(0, first, rows).copy_(wide.narrow(0, first, rows) - means[tile]);
+    }
+    centred_ = rows_of(rest);
+    const at::Tensor rounded = means.to(at::kBFloat16).to(at::kFloat);
+    means_[0] = rows_of(rounded);
+    means_[1] = rows_of(means - rounded);
+  }
+
+  /// The mass-weighted basis, grouped; modes_ need not be a multiple of the vector.
+  void group_exact(const at::Tensor& weighted) {
+    const int64_t group = kernels_.group;
+    const std::vector<T> rows = rows_of(weighted);
+    for (int64_t v = 0; v < weighted.size(0); ++v) {
+      for (int64_t k = 0; k < modes_; ++k) {
+        weighted_[static_cast<size_t>(v / group * group * modes_ + k * group + v % group)] =
+            rows[static_cast<size_t>(v * modes_ + k)];
+      }
+    }
+  }
+
+  void prepare_block(DiffusionNetBlockImpl& block, const at::Tensor& evals) {
+    Block result;
+    const at::Tensor time = plain(block.diffusion->time());
+    result.decay =
+        padded(at::exp(-plain(evals).unsqueeze(1) * time.unsqueeze(0)), modes_, columns_);
+    result.a_re = packed_weight(block.gradient_features->a_re->weight);
+    result.a_im = packed_weight(block.gradient_features->a_im->weight);
+    const at::Tensor first = plain(block.mlp[0]->weight);
+    result.of_x = packed_weight(first.narrow(1, 0, width_));
+    result.of_diffused = packed_weight(first.narrow(1, width_, width_));
+    result.of_products = packed_weight(first.narrow(1, 2 * width_, width_));
+    result.second = packed_weight(block.mlp[1]->weight);
+    result.third = packed_weight(block.mlp[2]->weight);
+    for (size_t layer = 0; layer < 3; ++layer) {
+      result.bias[layer] =
+          padded(plain(block.mlp[layer]->bias).unsqueeze(0), 1, columns_).squeeze(0);
+    }
+    blocks_.push_back(std::move(result));
+  }
+
+  void run_frame(const FrameInputs& inputs, int64_t frame, Work& work, float* result) const {
+    pack_heads(inputs, frame, work);
+    std::fill(work.sums.begin(), work.sums.end(), 0.0F);
+    for (int64_t v = 0; v < vertices_; v += kTile) {
+      const int64_t rows = std::min(kTile, vertices_ - v);
+      first_layer(inputs, frame, v, rows, work);
+      add_to_spectrum(v, rows, work);
+    }
+    for (size_t index = 0; index < blocks_.size(); ++index) {
+      const Block& block = blocks_[index];
+      const bool last = index + 1 == blocks_.size();
+      prepare_spectrum(block, work);
+      gradient_features(work);
+      std::fill(work.sums.begin(), work.sums.end(), 0.0F);
+      for (int64_t v = 0; v < vertices_; v += kTile) {
+        const int64_t rows = std::min(kTile, vertices_ - v);
+        run_tile(block, v, rows, work);
+        if (!last) add_to_spectrum(v, rows, work);
+      }
+    }
+    project(work, result);
+  }
+
+  /// The last layer; its rows go where the mesh has them.
+  void project(Work& work, float* result) const {
+    const auto* order = mesh_.order.template const_data_ptr<int64_t>();
+    for (int64_t v = 0; v < vertices_; v += kTile) {
+      const int64_t rows = std::min(kTile, vertices_ - v);
+      kernels_.project(work.x.data() + v * columns_, rows, columns_,
+                       last_weight_.template const_data_ptr<float>(),
+                       last_bias_.template const_data_ptr<float>(), outputs_,
+                       work.of_project.data());
+      for (int64_t row = 0; row < rows; ++row) {
+        std::copy_n(work.of_project.data() + row * outputs_, outputs_,
+                    result + order[v + row] * outputs_);
+      }
+    }
+  }
+
+  void pack_heads(const FrameInputs& inputs, int64_t frame, Work& work) const {
+    if (!inputs.keys.defined()) return;
+    const int64_t count = inputs.keys.size(2), columns = round_up(count, kernels_.panel);
+    for (int64_t head = 0; head < heads_; ++head) {
+      const at::Tensor keys = padded(inputs.keys[frame][head].t(), head_columns_, columns);
+      kernels_.pack(keys.const_data_ptr<float>(), head_columns_, columns,
+                    work.keys[static_cast<size_t>(head)].data());
+      const at::Tensor values = padded(inputs.values[frame][head], count, columns_);
+      kernels_.pack(values.const_data_ptr<float>(), count, columns_,
+                    work.values[static_cast<size_t>(head)].data());
+    }
+  }
+
+  /// x <- base + offset + attention.
+  void first_layer(const FrameInputs& inputs, int64_t frame, int64_t v, int64_t rows,
+                   Work& work) const {
+    float* x = work.x.data() + v * columns_;
+    Epilogue epilogue;
+    epilogue.bias = inputs.offsets.const_data_ptr<float>() + frame * columns_;
+    epilogue.residual = base_.const_data_ptr<float>() + v * columns_;
+    if (!inputs.keys.defined()) {
+      kernels_.product(nullptr, 0, rows, columns_, epilogue, x, nullptr, columns_);
+      return;
+    }
+    const int64_t count = inputs.keys.size(2), stride = round_up(count, kernels_.panel);
+    for (int64_t head = 0; head < heads_; ++head) {
+      const size_t h = static_cast<size_t>(head);
+      const Segment<T> of_keys{queries_[h].data() + v * head_columns_, head_columns_,
+                               work.keys[h].data(), head_columns_};
+      kernels_.product(&of_keys, 1, rows, stride, Epilogue{}, work.scores.data(), nullptr, stride);
+      kernels_.softmax(work.scores.data(), rows, stride, count, work.weights.data());
+      const Segment<T> of_values{work.weights.data(), stride, work.values[h].data(),
+                                 round_up(count, kernels_.group)};
+      kernels_.product(&of_values, 1, rows, columns_, epilogue, x, nullptr, columns_);
+      epilogue = Epilogue{};
+      epilogue.residual = x;
+    }
+  }
+
+  /// sums += Phi^T M x over a tile.
+  void add_to_spectrum(int64_t v, int64_t rows, Work& work) const {
+    const float* x = work.x.data() + v * columns_;
+    const T* operand = nullptr;
+    if constexpr (std::is_same_v<T, float>) {
+      operand = x;
+    } else {
+      kernels_.group_rows(x, rows, columns_, work.grouped.data());
+      operand = work.grouped.data();
+    }
+    kernels_.accumulate(weighted_.data() + v * modes_, operand, rows, modes_, columns_,
+                        work.sums.data());
+  }
+
+  /// From the sums: the decayed spectrum s, s A_re, s A_im, and its product with the diffused part
+  /// of the MLP's first layer, as right operands.
+  void prepare_spectrum(const Block& block, Work& work) const {
+    const float* decay = block.decay.template const_data_ptr<float>();
+    for (size_t i = 0; i < work.sums.size(); ++i) work.spectrum[i] = work.sums[i] * decay[i];
+    kernels_.pack(work.spectrum.data(), modes_, columns_, work.packed[0].data());
+    kernels_.convert(work.spectrum.data(), modes_ * columns_, work.rows.data());
+    const auto times = [&](const std::vector<T>& weight, std::vector<T>& result) {
+      const Segment<T> segment{work.rows.data(), columns_, weight.data(), columns_};
+      kernels_.product(&segment, 1, modes_, columns_, Epilogue{}, work.spectrum.data(), nullptr,
+                       columns_);
+      kernels_.pack(work.spectrum.data(), modes_, columns_, result.data());
+    };
+    times(block.a_re, work.packed[1]);
+    times(block.a_im, work.packed[2]);
+    times(block.of_diffused, work.mixed);
+  }
+
+  /// Three panels, side by side: the sum over `left` of rows of modes times a part, plus a row.
+  void multiply_parts(std::initializer_list<const T*> left, const T* const* parts, int64_t rows,
+                      const float* plus, float* result) const {
+    const int64_t panel = kernels_.panel;
+    for (int64_t part = 0; part < 3; ++part, result += panel) {
+      Segment<T> segments[2];
+      int64_t count = 0;
+      for (const T* a : left) segments[count++] = {a, modes_, parts[part], modes_};
+      Epilogue epilogue;
+      if (plus != nullptr) epilogue.bias = plus + part * panel;
+      kernels_.product(segments, count, rows, panel, epilogue, result, nullptr, field_row());
+    }
+  }
+
+  /// z of all vertices, a panel of columns at a time: what is diffused, and it times A_re and A_im,
+  /// then their gradients.
+  void gradient_features(Work& work) const {
+    const int64_t panel = kernels_.panel, stride = field_row();
+    const GradientRows gradient{vertices_, mesh_.first.data(), mesh_.neighbor.data(),
+                                mesh_.weight.data()};
+    for (int64_t first = 0; first < columns_; first += panel) {
+      const T* parts[3];
+      for (int64_t part = 0; part < 3; ++part) {
+        parts[part] = work.packed[part].data() + first * modes_;
+      }
+      if constexpr (kCentred) {
+        multiply_parts({means_[0].data(), means_[1].data()}, parts, tiles_, nullptr,
+                       work.centres.data());
+      }
+      for (int64_t tile = 0; tile < tiles_; ++tile) {
+        const int64_t v = tile * kTile;
+        const float* centre = kCentred ? work.centres.data() + tile * stride : nullptr;
+        multiply_parts({(kCentred ? centred_ : basis_).data() + v * modes_}, parts,
+                       std::min(kTile, vertices_ - v), centre, work.fields.data() + v * stride);
+      }
+      kernels_.gradient_features(gradient, work.fields.data(), work.z.data() + first, columns_);
+    }
+  }
+
+  /// One block on one tile.
+  void run_tile(const Block& block, int64_t v, int64_t rows, Work& work) const {
+    const int64_t n = columns_;
+    const auto multiply = [&](std::initializer_list<Segment<T>> segments, const Epilogue& epilogue,
+                              float* as_float, T* as_element) {
+      kernels_.product(segments.begin(), static_cast<int64_t>(segments.size()), rows, n, epilogue,
+                       as_float, as_element, n);
+    };
+    const auto bias = [&](size_t layer) {
+      return block.bias[layer].template const_data_ptr<float>();
+    };
+    float* x = work.x.data() + v * n;
+    const T* element = nullptr;
+    if constexpr (std::is_same_v<T, float>) {
+      element = x;
+    } else {
+      kernels_.convert(x, rows * n, work.element.data());
+      element = work.element.data();
+    }
+    multiply({{element, n, block.of_x.data(), n},
+              {basis_.data() + v * modes_, modes_, work.mixed.data(), modes_},
+              {work.z.data() + v * n, n, block.of_products.data(), n}},
+             {bias(0), nullptr, true}, nullptr, work.first.data());
+    multiply({{work.first.data(), n, block.second.data(), n}}, {bias(1), nullptr, true}, nullptr,
+             work.second.data());
+    multiply({{work.second.data(), n, block.third.data(), n}}, {bias(2), x, false}, x, nullptr);
+  }
+
+  /// Floats of a vertex's fields.
+  int64_t field_row() const { return 3 * kernels_.panel; }
+
+  const Kernels<T>& kernels_;
+  MeshRows mesh_;
+  int64_t vertices_, tiles_, width_, outputs_, columns_, modes_, heads_ = 0, head_columns_ = 0;
+  std::vector<T> basis_, centred_, means_[2], weighted_;
+  std::vector<std::vector<T>> queries_;
+  std::vector<Block> blocks_;
+  at::Tensor base_, last_weight_, last_bias_;
+};
+
+}  // namespace fused
+}  // namespace freetalk::nn
