@@ -8,6 +8,7 @@
 #include <cmath>
 
 #include "freetalk/core/error.h"
+#include "freetalk/core/scratch.h"
 #include "gltf.h"
 #include "npz_animation.h"
 #include "sequence.h"
@@ -45,8 +46,11 @@ Eigen::MatrixXd Animation::vertices_at(int64_t frame_index) const {
                  "; the animation has ", num_frames());
   const auto moved = displacements[frame_index].contiguous();
   using Rows = Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>;
-  return mesh.vertices +
-         Eigen::Map<const Rows>(moved.data_ptr<float>(), moved.size(0), 3).cast<double>();
+  Eigen::MatrixXd vertices =
+      mesh.vertices +
+      Eigen::Map<const Rows>(moved.data_ptr<float>(), moved.size(0), 3).cast<double>();
+  core::release_pages(moved);
+  return vertices;
 }
 
 void Animation::check() const {

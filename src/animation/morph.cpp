@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "freetalk/core/error.h"
+#include "freetalk/core/scratch.h"
 
 namespace freetalk::animation {
 namespace {
@@ -23,6 +24,7 @@ at::Tensor right_singular_vectors(const at::Tensor& motion, int64_t max_targets)
   if (motion.size(0) > kGramFrames) {
     sample = motion.index_select(
         0, at::linspace(0, motion.size(0) - 1, kGramFrames, at::kDouble).round().to(at::kLong));
+    core::release_pages(motion);
   }
   const int64_t rows = sample.size(0);
   const bool by_frames = rows <= columns;
@@ -61,6 +63,7 @@ void for_blocks(const at::Tensor& motion, const Visit& visit) {
   const int64_t step = 3 * std::max<int64_t>(1, (int64_t{1} << 20) / motion.size(0));
   for (int64_t start = 0; start < columns; start += step) {
     visit(start, std::min(start + step, columns));
+    core::release_pages(motion);
   }
 }
 
@@ -87,6 +90,7 @@ MorphBasis morph_basis(const at::Tensor& displacements, double tolerance, int64_
   for (int64_t start = 0; start < 3 * vertices; start += kColumns) {
     const int64_t stop = std::min(start + kColumns, 3 * vertices);
     weights += motion.slice(1, start, stop).to(at::kDouble).matmul(full.slice(1, start, stop).t());
+    core::release_pages(motion);
   }
   const auto basis = full.to(at::kFloat);
   const auto weights32 = weights.to(at::kFloat);

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <map>
 #include <ostream>
 #include <string>
@@ -18,9 +19,10 @@ class NpzWriter {
   explicit NpzWriter(std::ostream& out) : out_(out) {}
 
   /// @param descr NumPy's type, such as "<f4"
-  /// @param data product(shape) items, C order
+  /// @param data product(shape) items, C order @param was_read called after every block of the data
+  /// that was read
   void add(const std::string& name, const std::string& descr, const std::vector<int64_t>& shape,
-           const void* data);
+           const void* data, const std::function<void()>& was_read = {});
   void add_scalar(const std::string& name, double value);
   void add_scalar(const std::string& name, int64_t value);
   /// A 0-d unicode array, `str(array)` in Python. @param text UTF-8

@@ -6,6 +6,7 @@
 
 #include "freetalk/core/error.h"
 #include "freetalk/core/file.h"
+#include "freetalk/core/scratch.h"
 #include "npz.h"
 
 namespace freetalk::animation {
@@ -92,7 +93,8 @@ void save_npz(const std::filesystem::path& path, const Animation& animation) {
     const RowMajor<int32_t> faces = mesh.faces;
     writer.add("faces", "<i4", {faces.rows(), 3}, faces.data());
     writer.add("displacements", "<f4", animation.displacements.sizes().vec(),
-               animation.displacements.data_ptr<float>());
+               animation.displacements.data_ptr<float>(),
+               [&] { core::release_pages(animation.displacements); });
     writer.add_scalar("fps", animation.fps);
     writer.add("audio", "<f4", {static_cast<int64_t>(animation.audio.samples.size())},
                animation.audio.samples.data());
@@ -122,8 +124,9 @@ Animation load_npz(const std::filesystem::path& path) {
                              shape[1] == animation.mesh.num_vertices() && shape[2] == 3,
                          where, ": 'displacements' must be (T, ", animation.mesh.num_vertices(),
                          ", 3)");
-  animation.displacements = at::empty(shape, at::kFloat);
+  animation.displacements = core::scratch_tensor(shape);
   reader.read_raw("displacements", "<f4", animation.displacements.data_ptr());
+  core::release_pages(animation.displacements);
   const auto scalar = [&](const std::string& name) {
     FREETALK_RUNTIME_CHECK(reader.at(name).count() == 1, where, ": '", name,
                            "' must be one number");

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <array>
 #include <cstring>
 #include <functional>
@@ -10,6 +11,7 @@ namespace freetalk::animation {
 namespace {
 
 constexpr uint64_t kZip64 = 0xFFFFFFFFu;
+constexpr uint64_t kBlockBytes = uint64_t{8} << 20;  // read at once
 
 /// CRC-32 (IEEE 802.3, reflected), eight bytes a step.
 class Crc32 {
@@ -86,15 +88,22 @@ void NpzWriter::put(const std::string& bytes) {
 }
 
 void NpzWriter::add(const std::string& name, const std::string& descr,
-                    const std::vector<int64_t>& shape, const void* data) {
+                    const std::vector<int64_t>& shape, const void* data,
+                    const std::function<void()>& was_read) {
   static const Crc32 crc32;
   const std::string header = npy_header(descr, shape);
   const uint64_t count =
       std::accumulate(shape.begin(), shape.end(), uint64_t{1}, std::multiplies<>());
   const uint64_t data_bytes = count * item_bytes(descr);
-  Entry entry{name + ".npy",
-              crc32.update(crc32.update(0, header.data(), header.size()), data, data_bytes),
-              header.size() + data_bytes, position_};
+  const auto in_blocks = [&](const auto& visit) {
+    for (uint64_t start = 0; start < data_bytes; start += kBlockBytes) {
+      visit(static_cast<const char*>(data) + start, std::min(kBlockBytes, data_bytes - start));
+      if (was_read) was_read();
+    }
+  };
+  uint32_t crc = crc32.update(0, header.data(), header.size());
+  in_blocks([&](const char* block, uint64_t size) { crc = crc32.update(crc, block, size); });
+  Entry entry{name + ".npy", crc, header.size() + data_bytes, position_};
   const bool zip64 = entry.bytes >= kZip64;
   const std::string extra =
       zip64 ? le<uint16_t>(1) + le<uint16_t>(16) + le(entry.bytes) + le(entry.bytes) : "";
@@ -102,7 +111,9 @@ void NpzWriter::add(const std::string& name, const std::string& descr,
       le<uint16_t>(0) + le<uint16_t>(0x21) + le(entry.crc) + le(clipped(entry.bytes)) +
       le(clipped(entry.bytes)) + le<uint16_t>(entry.name.size()) + le<uint16_t>(extra.size()) +
       entry.name + extra + header);
-  out_.write(static_cast<const char*>(data), static_cast<std::streamsize>(data_bytes));
+  in_blocks([&](const char* block, uint64_t size) {
+    out_.write(block, static_cast<std::streamsize>(size));
+  });
   position_ += data_bytes;
   entries_.push_back(std::move(entry));
 }

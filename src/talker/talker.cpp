@@ -16,6 +16,7 @@
 #include "freetalk/core/error.h"
 #include "freetalk/core/options.h"
 #include "freetalk/core/random.h"
+#include "freetalk/core/scratch.h"
 #include "freetalk/geometry/operators.h"
 #include "freetalk/speech/features.h"
 #include "rest.h"
@@ -263,14 +264,16 @@ std::vector<animation::Animation> Talker::animate_many(const audio::Audio& audio
   std::vector<animation::Animation> results;
   for (const auto& landmarks : motions) {
     animation::Animation result;
-    result.displacements = at::empty({frames, mesh.num_vertices(), 3}, at::kFloat);
+    result.displacements = core::scratch_tensor({frames, mesh.num_vertices(), 3});
     const auto done_before = static_cast<int64_t>(results.size()) * frames;
     stm::decode_chunked(
         models_.stm, features, operators, landmarks.to(device_),
         [&](int64_t first, const at::Tensor& skin) {
           const int64_t count = skin.size(0);
           const auto moved = parts.move(skin, landmarks.narrow(0, first, count));
-          result.displacements.narrow(0, first, count).copy_(moved.matmul(back));
+          const auto place = result.displacements.narrow(0, first, count);
+          place.copy_(moved.matmul(back));
+          core::release_pages(place);
           stages.at(static_cast<double>(done_before + first + count) /
                     static_cast<double>(frames * static_cast<int64_t>(motions.size())));
         },

@@ -5,6 +5,7 @@
 
 #include "freetalk/animation/animation.h"
 #include "freetalk/core/file.h"
+#include "freetalk/core/scratch.h"
 #include "scratch.h"
 
 namespace freetalk::animation {
@@ -39,6 +40,19 @@ TEST(Npz, SameAnimationGivesTheSameBytes) {
   seam_animation(7).save(folder / "a.npz");
   seam_animation(7).save(folder / "b.npz");
   EXPECT_EQ(core::read_text(folder / "a.npz"), core::read_text(folder / "b.npz"));
+}
+
+TEST(Npz, MotionInATemporaryFileIsSavedAlike) {
+  const ScratchFolder folder;
+  auto animation = seam_animation(7);
+  animation.save(folder / "a.npz");
+  animation.save(folder / "a.glb");
+  const auto motion = core::scratch_tensor(animation.displacements.sizes(), 0);
+  animation.displacements = motion.copy_(animation.displacements);
+  animation.save(folder / "b.npz");
+  animation.save(folder / "b.glb");
+  EXPECT_EQ(core::read_text(folder / "a.npz"), core::read_text(folder / "b.npz"));
+  EXPECT_EQ(core::read_text(folder / "a.glb"), core::read_text(folder / "b.glb"));
 }
 
 TEST(Npz, EveryTruncationIsAnErrorThatNamesTheFile) {

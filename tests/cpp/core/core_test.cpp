@@ -9,6 +9,7 @@
 #include "freetalk/core/options.h"
 #include "freetalk/core/random.h"
 #include "freetalk/core/safetensors.h"
+#include "freetalk/core/scratch.h"
 
 namespace freetalk::core {
 namespace {
@@ -127,6 +128,49 @@ TEST(File, FailedWriteLeavesTheOldFile) {
                                  }),
                std::runtime_error);
   EXPECT_EQ(read_text(path), "old");
+}
+
+/// Memory of this process that lies in pages right now, bytes.
+int64_t resident_bytes() {
+  int64_t total = 0, resident = 0;
+  std::ifstream("/proc/self/statm") >> total >> resident;
+  return resident * 4096;
+}
+
+TEST(Scratch, ReleasedPagesLeaveTheMemoryAndKeepTheirValues) {
+  const int64_t rows = 64, columns = 1 << 18;  // 64 MB
+  const at::Tensor tensor = scratch_tensor({rows, columns}, 0);
+  const at::Tensor row = at::arange(columns, at::kFloat);
+  const int64_t before = resident_bytes();
+  for (int64_t i = 0; i < rows; ++i) {
+    tensor[i].copy_(row + static_cast<double>(i));
+    release_pages(tensor[i]);
+  }
+  EXPECT_LT(resident_bytes() - before, tensor.nbytes() / 4);
+  for (int64_t i = 0; i < rows; ++i)
+    ASSERT_TRUE(at::equal(tensor[i], row + static_cast<double>(i)));
+  EXPECT_GT(resident_bytes() - before, tensor.nbytes() / 2);  // read again: in memory again
+  release_pages(tensor);
+  EXPECT_LT(resident_bytes() - before, tensor.nbytes() / 4);
+}
+
+TEST(Scratch, OrdinaryTensorsAreLeftAlone) {
+  const at::Tensor ordinary = at::arange(1 << 20, at::kFloat), copy = ordinary.clone();
+  release_pages(ordinary);
+  EXPECT_TRUE(at::equal(ordinary, copy));
+  const at::Tensor small = scratch_tensor({1 << 10}).fill_(3);  // below the threshold
+  release_pages(small);
+  EXPECT_TRUE(small.eq(3).all().item<bool>());
+}
+
+TEST(Scratch, WithoutAFolderForFilesItLiesInMemory) {
+  const char* given = std::getenv("TMPDIR");
+  const std::string before = given == nullptr ? "" : given;
+  ::setenv("TMPDIR", "/nowhere", 1);
+  const at::Tensor tensor = scratch_tensor({1 << 10}, 0).fill_(2);
+  given == nullptr ? ::unsetenv("TMPDIR") : ::setenv("TMPDIR", before.c_str(), 1);
+  release_pages(tensor);
+  EXPECT_TRUE(tensor.eq(2).all().item<bool>());
 }
 
 TEST(Random, SameSeedSameNumbers) {

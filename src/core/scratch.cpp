@@ -1,0 +1,65 @@
+#include "freetalk/core/scratch.h"
+
+#include <ATen/ATen.h>
+#include <fcntl.h>
+#include <sys/mman.h>
+#include <unistd.h>
+
+#include <cstdlib>
+#include <filesystem>
+#include <string>
+
+namespace freetalk::core {
+namespace {
+
+struct Mapping {
+  void* data;
+  size_t bytes;
+};
+
+void unmap(void* context) {
+  auto* mapping = static_cast<Mapping*>(context);
+  ::munmap(mapping->data, mapping->bytes);
+  delete mapping;
+}
+
+/// A file of `bytes` without a name, its blocks allocated; -1 where there is no room for it.
+int temporary_file(int64_t bytes) {
+  std::error_code failed;
+  const auto folder = std::filesystem::temp_directory_path(failed);
+  if (failed) return -1;
+  std::string name = (folder / "freetalk-XXXXXX").string();
+  const int file = ::mkstemp(name.data());
+  if (file < 0) return -1;
+  ::unlink(name.c_str());
+  if (::posix_fallocate(file, 0, bytes) == 0) return file;
+  ::close(file);
+  return -1;
+}
+
+}  // namespace
+
+at::Tensor scratch_tensor(at::IntArrayRef sizes, int64_t threshold_bytes) {
+  const int64_t bytes = c10::multiply_integers(sizes) * static_cast<int64_t>(sizeof(float));
+  if (bytes < threshold_bytes || bytes == 0) return at::empty(sizes, at::kFloat);
+  const int file = temporary_file(bytes);
+  if (file < 0) return at::empty(sizes, at::kFloat);
+  const auto size = static_cast<size_t>(bytes);
+  void* data = ::mmap(nullptr, size, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
+  ::close(file);
+  if (data == MAP_FAILED) return at::empty(sizes, at::kFloat);
+  c10::DataPtr pointer(data, new Mapping{data, size}, &unmap, at::kCPU);
+  const c10::Storage storage(c10::Storage::use_byte_size_t(), size, std::move(pointer));
+  return at::empty({0}, at::kFloat).set_(storage, 0, sizes);
+}
+
+void release_pages(const at::Tensor& tensor) {
+  if (!tensor.defined() || !tensor.device().is_cpu() || !tensor.is_contiguous()) return;
+  if (tensor.storage().data_ptr().get_deleter() != &unmap) return;
+  const auto page = static_cast<uintptr_t>(::sysconf(_SC_PAGESIZE));
+  const auto first = reinterpret_cast<uintptr_t>(tensor.data_ptr());
+  const uintptr_t start = first / page * page;
+  ::madvise(reinterpret_cast<void*>(start), first - start + tensor.nbytes(), MADV_DONTNEED);
+}
+
+}  // namespace freetalk::core
