@@ -16,6 +16,7 @@ from freetalk.corpus import speech_clip
 from freetalk.corpus.alignment import (
     align_speech,
     alignment_json,
+    hurried_share,
     phones_of,
     read_alignments,
     read_transcripts,
@@ -124,6 +125,18 @@ def test_a_real_recording_is_aligned_with_its_text() -> None:
     vowels = [e for p, e in zip(phones, loud) if p.label in ("AE", "AA", "AH", "EH", "OW", "UW")]
     pauses = [e for p, e in zip(phones, loud) if p.label == "sil" and p.end_s - p.start_s > 0.3]
     assert len(pauses) >= 2 and max(pauses) < 0.1 * np.median(vowels)
+
+
+def test_a_text_that_is_not_said_is_refused() -> None:
+    clip = np.array(load_audio(speech_clip()).samples)[: 4 * 16000]
+    other = (
+        "especially as no more time is occupied in casting setting or printing beautiful letters"
+    )
+    with pytest.raises(RuntimeError, match=r"does not fit the recording|something else seems"):
+        align_speech(clip, other)
+    assert hurried_share(stored()) == 0
+    hurried = [SimpleNamespace(name=n, start=s, duration=3) for n, s, _ in STORED]
+    assert hurried_share([*stored()[:2], *hurried[2:]]) == pytest.approx(2 / 3)  # of M, AE, P
 
 
 def test_a_probe_finds_what_is_linearly_there_and_nothing_else() -> None:

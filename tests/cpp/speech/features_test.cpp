@@ -263,7 +263,8 @@ TEST(EncodeSpeech, RefusesBadArguments) {
   EXPECT_THROW(encode_speech(encoder, at::randn({0}), 30.0), std::invalid_argument);
   EXPECT_THROW(encode_speech(encoder, at::randn({800}), -1.0), std::invalid_argument);
   EncodeOptions options;
-  options.context_s = 12.0;
+  options.window_s = 20.0;
+  options.context_s = 12.0;  // and as much lookahead
   EXPECT_THROW(encode_speech(encoder, at::randn({800}), 30.0, options), std::invalid_argument);
 }
 
