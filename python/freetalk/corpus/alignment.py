@@ -180,6 +180,22 @@ def read_alignments(path: Path) -> dict[str, list[Phone]]:
     return result
 
 
+def aligned_files(path: Path) -> dict[str, tuple[Path, list[Phone]]]:
+    """The recordings that an alignment file names, relative to its folder: file and phones by name.
+
+    Raises:
+        FileNotFoundError: one is missing.
+        ValueError: as :func:`read_alignments`.
+    """
+    found = {}
+    for name, phones in read_alignments(path).items():
+        file = path.parent / name
+        if not file.is_file():
+            raise FileNotFoundError(f"{path} names {name}, but there is no {file}")
+        found[name] = (file, phones)
+    return found
+
+
 @lru_cache(maxsize=1)
 def _decoder() -> Any:
     try:

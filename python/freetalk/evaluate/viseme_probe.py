@@ -23,7 +23,7 @@ from torch.nn import functional
 from tqdm import tqdm
 
 from freetalk.audio import load_audio
-from freetalk.corpus.alignment import read_alignments
+from freetalk.corpus.alignment import aligned_files
 from freetalk.corpus.phones import Phone
 from freetalk.data import OpenCorpus
 from freetalk.speech import SAMPLE_RATE_HZ, EncodeOptions, SpeechEncoder, encode_speech
@@ -165,18 +165,11 @@ def corpus_recordings(corpus: OpenCorpus, split: str, limit: int = 0) -> dict[st
 
 
 def aligned_recordings(path: Path) -> dict[str, Recording]:
-    """The recordings that an alignment file names, relative to its folder.
-
-    Raises:
-        OSError: a recording is missing.
-    """
-    result: dict[str, Recording] = {}
-    for name, phones in read_alignments(path).items():
-        file = path.parent / name
-        if not file.is_file():
-            raise FileNotFoundError(f"{path} names {name}, but there is no {file}")
-        result[name] = (np.array(load_audio(file).samples, np.float32), phones)
-    return result
+    """The recordings of an alignment file; raises as :func:`freetalk.corpus.alignment.aligned_files`."""
+    return {
+        name: (np.array(load_audio(file).samples, np.float32), phones)
+        for name, (file, phones) in aligned_files(path).items()
+    }
 
 
 def frames_of(

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freetalk.audio import load_audio
-from freetalk.corpus.alignment import read_alignments
+from freetalk.corpus.alignment import aligned_files
 from freetalk.data import MotionSequence
 
 #: Source of the recordings in ``task.source_weights``.
@@ -35,10 +35,8 @@ class Recordings:
         self._phones: dict[str, list[tuple[float, float, str]]] = {}
         self._audio: dict[str, FloatArray] = {}
         for file in files:
-            for name, phones in read_alignments(Path(file)).items():
-                path = (Path(file).parent / name).resolve()
-                if not path.is_file():
-                    raise FileNotFoundError(f"{file} names {name}, but there is no {path}")
+            for name, (given, phones) in aligned_files(Path(file)).items():
+                path = given.resolve()
                 if str(path) in self._phones:
                     raise ValueError(f"{file} names {name}, which is already among the recordings")
                 self._phones[str(path)] = [(p.start_s, p.end_s, p.label) for p in phones]
