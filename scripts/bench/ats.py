@@ -25,9 +25,13 @@ import numpy as np
 import torch
 from torch import nn
 
+from freetalk import load_audio
+from freetalk._pretrained import PRETRAINED as FOLDER
 from freetalk.ats import Ats, GenerateOptions, generate, parse_emotion, window_starts
+from freetalk.corpus import assets
 from freetalk.diffusion import SamplerOptions, Schedule, sampler_timesteps
 from freetalk.nn import sinusoidal_code
+from freetalk.speech import SpeechEncoder, encode_speech
 
 PRETRAINED = "open-small"
 
@@ -145,23 +149,25 @@ def speed(frames: int, repetitions: int, steps: int) -> None:
         )
 
 
-def shipped() -> tuple[Ats, torch.Tensor]:
-    """The shipped weights and features of the speech that ships."""
-    from freetalk import load_audio
-    from freetalk._pretrained import PRETRAINED as FOLDER
-    from freetalk.corpus import speech_clip
-    from freetalk.speech import SpeechEncoder, encode_speech
-
+def shipped() -> tuple[Ats, SpeechEncoder]:
+    """The shipped weights."""
     ats = Ats.from_pretrained(FOLDER / PRETRAINED / "ats").eval()
-    encoder = SpeechEncoder.from_pretrained(FOLDER / PRETRAINED / "speech").eval()
-    samples = torch.from_numpy(np.array(load_audio(speech_clip()).samples))
-    with torch.no_grad():
-        return ats, encode_speech(encoder, samples, ats.options.fps)
+    return ats, SpeechEncoder.from_pretrained(FOLDER / PRETRAINED / "speech").eval()
+
+
+def recorded_speech(minutes: float) -> np.ndarray:
+    """Captured speech (S,) at 16 kHz: the takes that ship, one after the other, again if they are short."""
+    takes = [assets.load_take(name).audio for name in assets.TEST_TAKES + assets.TRAIN_TAKES]
+    whole = np.concatenate(takes)
+    samples = round(minutes * 60 * 16000)
+    return np.tile(whole, math.ceil(samples / len(whole)))[:samples]
 
 
 def quality() -> None:
     """Prints how far fewer steps are from 100 DDIM steps, relative to the motion."""
-    ats, features = shipped()
+    ats, encoder = shipped()
+    clip = np.array(load_audio(assets.speech_clip()).samples)
+    features = encode_speech(encoder, clip, ats.options.fps)
     emotion = parse_emotion("happy", ats.options.emotions)
 
     def motion(seed: int, **options: object) -> torch.Tensor:
@@ -185,27 +191,32 @@ def quality() -> None:
 
 
 def long(minutes: float) -> None:
-    """Prints time, growth of memory, and jerk at the seams against elsewhere."""
-    ats, clip = shipped()
+    """Prints time, growth of memory from sound to motion, and jerk at the seams against elsewhere."""
+    ats, encoder = shipped()
     fps = ats.options.fps
-    frames = round(minutes * 60 * fps)
-    features = clip.repeat(math.ceil(frames / len(clip)), 1)[:frames]
+    speech = recorded_speech(minutes)
     options = GenerateOptions(sampler="dpmpp", num_steps=20)
     emotion = parse_emotion("happy", ats.options.emotions)
 
-    def run(count: int) -> tuple[torch.Tensor, float, float]:
-        start = time.perf_counter()
-        motion = generate(ats, features[:count], emotion=emotion, intensity=2.0, options=options)
+    def run(wave: np.ndarray) -> tuple[torch.Tensor, list[float], float]:
+        clock = [time.perf_counter()]
+        features = encode_speech(encoder, wave, fps)
+        clock.append(time.perf_counter())
+        motion = generate(ats, features, emotion=emotion, intensity=2.0, options=options)
+        clock.append(time.perf_counter())
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        return motion, time.perf_counter() - start, peak
+        return motion, list(np.diff(clock)), peak
 
-    _, _, short_peak = run(round(60 * fps))
-    motion, seconds, peak = run(frames)
+    _, _, short_peak = run(speech[: 60 * 16000])
+    motion, seconds, peak = run(speech)
+    features = len(motion) * ats.options.audio_dim * 4 / 2**20
     result = motion.numel() * motion.element_size() / 2**20
-    print(f"{minutes:g} minutes in {seconds:.1f} s with {options}")
     print(
-        f"memory: {peak - short_peak:.0f} MiB above that of one minute, of which {3 * result:.0f} MiB "
-        "are the noise and the result"
+        f"{minutes:g} minutes: speech encoded in {seconds[0]:.1f} s, motion in {seconds[1]:.1f} s with {options}"
+    )
+    print(
+        f"memory: {peak - short_peak:.0f} MiB above that of one minute; the sound has "
+        f"{speech.nbytes / 2**20:.0f} MiB, its features {features:.0f} MiB, noise and motion {3 * result:.0f} MiB"
     )
     at_seams, elsewhere = seam_jerk(motion, ats.options.max_frames, options)
     print(f"jerk at seams {at_seams / elsewhere:.3f} times that elsewhere")

@@ -288,7 +288,7 @@ def test_the_report_says_what_was_run_and_ends_with_the_claims(corpus: Path) -> 
     text = markdown(result)
     assert "Different data" in text
     assert "`python x.py`" in text
-    assert "seed 3" in text
+    assert "seeds 3" in text
     assert "paper's LVE (other data)" in text
     assert "0.0025" in next(line for line in text.splitlines() if line.startswith("| ca "))
     ending = text[text.index("## Claims of the paper") :]

@@ -30,7 +30,8 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
     given = _parser(name).parse_args(arguments)
     size = SIZES[given.size]
     catalogue = Catalogue(given.data, size.families)
-    recipes = Recipes(size, given.seed, given.overrides)
+    encoder = [f"ats.task.speech_encoder={given.speech}"] if given.speech else []
+    recipes = Recipes(size, given.seed, [*given.overrides, *encoder])
     table = TABLES[name](recipes, given.settings)
     run = TableRun(table, catalogue, given.work / size.name, given.speech, size.sampler)
     try:
@@ -39,7 +40,8 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
     except StoppedError as error:
         print(f"{error}; the same command goes on from there", file=sys.stderr)
         return 130
-    folders = [(label, Path(path)) for label, _, path in map(parse_spec, given.pred)]
+    named = [(label, Path(path)) for label, _, path in map(parse_spec, given.pred)]
+    folders = [(label or path.name, path) for label, path in named]
     rows += run.predictions(folders)
     command = f"python scripts/table_{name.removeprefix('table_')}.py"
     typed = list(sys.argv[1:] if arguments is None else arguments)

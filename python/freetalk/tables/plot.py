@@ -24,7 +24,7 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    rows = [row for row in result["rows"][::-1] if not _is_still(row)] or result["rows"][::-1]
+    rows = [row for row in result["rows"][::-1] if not is_still(row)] or result["rows"][::-1]
     groups = result["groups"]
     panels = [(group, False) for group in groups]
     panels += [(group, True) for group in groups if any(row["paper"].get(group) for row in rows)]
@@ -56,7 +56,7 @@ def _draw_own(axis: Any, result: Mapping[str, Any], rows: list[Any], group: str)
     unit = metric["unit"].replace("^2", "²")
     heading = f"{_where(group)}{metric['title']}, {unit}, here"
     still = next(
-        (row["scores"][group][name]["mean"] for row in result["rows"] if _is_still(row)), None
+        (row["scores"][group][name]["mean"] for row in result["rows"] if is_still(row)), None
     )
     if still is not None:
         heading += f"\n(still face: {number(still, 3)})"
@@ -74,7 +74,7 @@ def _where(group: str) -> str:
     return "" if group == "all" else f"{group}: "
 
 
-def _is_still(row: Mapping[str, Any]) -> bool:
+def is_still(row: Mapping[str, Any]) -> bool:
     """Whether a row has neither trainings nor predictions."""
     run = row["runs"][0]
     return not run["trainings"] and not run["predictions"]

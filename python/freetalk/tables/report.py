@@ -12,7 +12,7 @@ from typing import Any
 from freetalk import metrics
 from freetalk.evaluate.tables import number
 from freetalk.tables.claims import judge
-from freetalk.tables.plot import draw
+from freetalk.tables.plot import draw, is_still
 from freetalk.tables.scoring import pooling_of, title_of, unit_of
 from freetalk.tables.sets import Catalogue
 from freetalk.tables.sizes import Size
@@ -119,8 +119,8 @@ def _heading(result: Mapping[str, Any]) -> str:
     lines = [
         where,
         f"- command: `{result['command']}`",
-        f"- size {result['size']}, seed {result['seed']}, commit {result['commit'][:12]}; rows have the "
-        "same seeds and the same number of steps",
+        f"- size {result['size']}, seeds {', '.join(map(str, _seeds(result)))}, commit {result['commit'][:12]}; "
+        "all rows of a stage take the same number of steps",
         f"- data: {'; '.join(data)}",
         f"- scored on {', '.join(result['tests'])}: test split, faces and meshings that no row was trained on"
         if result["is_open"]
@@ -129,6 +129,11 @@ def _heading(result: Mapping[str, Any]) -> str:
         *(f"- {note}" for note in result["notes"]),
     ]
     return lines[0] + "\n\n" + "\n".join(lines[1:])
+
+
+def _seeds(result: Mapping[str, Any]) -> list[int]:
+    runs = [run for row in result["rows"] for run in row["runs"]]
+    return sorted({one["seed"] for run in runs for one in run["trainings"]}) or [result["seed"]]
 
 
 def _scores(result: Mapping[str, Any], group: str) -> str:
@@ -279,12 +284,13 @@ def _single_paper_metric(result: Mapping[str, Any], group: str) -> dict[str, str
 
 
 def _best(result: Mapping[str, Any], group: str) -> dict[str, str]:
+    """The row with the least mean of each metric, among those that predict something."""
     best = {}
     for m in result["metrics"]:
         means = {
             row["name"]: abs(row["scores"][group][m["metric"]]["mean"])
             for row in result["rows"]
-            if m["metric"] in row["scores"][group]
+            if m["metric"] in row["scores"][group] and not is_still(row)
         }
         if len(means) > 1:
             best[m["metric"]] = min(means, key=lambda name: means[name])

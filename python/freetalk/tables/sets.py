@@ -152,8 +152,10 @@ class Catalogue:
             elif self._corpus is not None:
                 own = OPEN_SETS[name]
                 kind = {True: "emotional ", False: "neutral ", None: ""}[own.emotional]
+                made = {key: self._corpus.manifest.get(key) for key in ("size", "seed")}
                 sources[name] = (
-                    f"{self._corpus.name}'s {kind}{' and '.join(own.sources)} on {own.family} meshings"
+                    f"open corpus (size {made['size']}, seed {made['seed']}), {kind}"
+                    f"{' and '.join(own.sources)} on {own.family} meshings"
                 )
         return sources
 
