@@ -37,7 +37,7 @@ CELL = 180
 
 
 class Still:
-    """The most open moment of a held-out take on a face that training never saw.
+    """The most open moment of a held-out take (a neutral one if there is any) on a face that training never saw.
 
     Args:
         corpus: the open corpus.
@@ -49,7 +49,8 @@ class Still:
         self.identity = corpus.identities("test")[0]
         self.mesh: FaceMesh = corpus.mesh(self.identity, topology)
         takes = [s for s in corpus.sequences("test") if s.source not in ("rom", "rest")]
-        self.sequence: MotionSequence = takes[0]
+        neutral = [s for s in takes if s.emotion == 0]
+        self.sequence: MotionSequence = (neutral or takes)[0]
         self.frame = int(np.argmax(lip_opening(corpus.landmarks(self.sequence))))
         at = (self.frame, self.frame + 1)
         self.landmarks = torch.from_numpy(corpus.landmarks(self.sequence, *at))
