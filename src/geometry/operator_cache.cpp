@@ -20,7 +20,7 @@ namespace {
 namespace fs = std::filesystem;
 
 // Raise when the operators of a mesh change: older entries are then never read again.
-constexpr int kOperatorVersion = 2;
+constexpr int kOperatorVersion = 3;
 
 std::string key_of(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
                    const OperatorOptions& options) {

@@ -10,6 +10,7 @@
 #include "freetalk/geometry/surface.h"
 #include "freetalk/geometry/weld.h"
 #include "laplacian_by_name.h"
+#include "mean_normals.h"
 #include "operators_faces.h"
 #include "point_cloud_operators.h"
 #include "tensor_conversion.h"
@@ -39,6 +40,17 @@ void check_surface(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces
   const double area = face_areas(vertices, faces).sum();
   FREETALK_CHECK(std::isfinite(area) && area > 0.0, "operators of ", name,
                  " need a surface; all faces of the mesh have zero area");
+}
+
+/// Vertex normals. With kAbsolute a face counts by 2 A / (2 A + 1e-6), as in the public package: on
+/// meshes of unit size that takes weight from small faces only.
+Eigen::MatrixXd normals_of(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
+                           Regularization regularization) {
+  if (regularization == Regularization::kRelative) return vertex_normals(vertices, faces);
+  const Eigen::ArrayXd doubled = 2.0 * face_areas(vertices, faces).array();
+  Eigen::MatrixXd of_faces = face_normals(vertices, faces);
+  of_faces.array().colwise() *= doubled / (doubled + 1e-6);
+  return mean_normals(of_faces, faces, vertices.rows());
 }
 
 /// Row w of (W, ...) at every vertex welded into w.
@@ -165,7 +177,8 @@ SurfaceOperators surface_operators(const Eigen::MatrixXd& vertices, const Eigen:
   const auto [laplacian, mass] = laplacian_by_name(surface.vertices, surface.faces, options);
   const Eigenbasis basis = eigenbasis(
       laplacian, mass, {options.k_eig, options.residual_tolerance, "auto"}, name, progress);
-  const Eigen::MatrixXd normals = vertex_normals(surface.vertices, surface.faces);
+  const Eigen::MatrixXd normals =
+      normals_of(surface.vertices, surface.faces, regularization_of(options));
   const Eigen::MatrixXd frames = tangent_frames(normals);
   const RowSparseMatrix gradient =
       vertex_gradient(surface.vertices, surface.faces, frames, regularization_of(options));

@@ -7,6 +7,8 @@
 #include <cstring>
 #include <numeric>
 
+#include "mean_normals.h"
+
 namespace freetalk::geometry {
 namespace {
 
@@ -78,9 +80,9 @@ Eigen::MatrixXd face_normals(const Eigen::MatrixXd& vertices, const Eigen::Matri
   return normals;
 }
 
-Eigen::MatrixXd vertex_normals(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces) {
-  const Eigen::MatrixXd of_faces = face_normals(vertices, faces);
-  Eigen::MatrixXd normals = Eigen::MatrixXd::Zero(vertices.rows(), 3);
+Eigen::MatrixXd mean_normals(const Eigen::MatrixXd& of_faces, const Eigen::MatrixXi& faces,
+                             Eigen::Index num_vertices) {
+  Eigen::MatrixXd normals = Eigen::MatrixXd::Zero(num_vertices, 3);
   for (Eigen::Index f = 0; f < faces.rows(); ++f) {
     for (int c = 0; c < 3; ++c) normals.row(faces(f, c)) += of_faces.row(f);
   }
@@ -94,6 +96,10 @@ Eigen::MatrixXd vertex_normals(const Eigen::MatrixXd& vertices, const Eigen::Mat
     }
   }
   return normals;
+}
+
+Eigen::MatrixXd vertex_normals(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces) {
+  return mean_normals(face_normals(vertices, faces), faces, vertices.rows());
 }
 
 Eigen::VectorXi connected_components(int64_t num_vertices, const Eigen::MatrixXi& faces) {

@@ -17,8 +17,8 @@ using RowSparseMatrix = Eigen::SparseMatrix<double, Eigen::RowMajor>;
 /// How divisions by small numbers are guarded.
 enum class Regularization {
   kRelative,  ///< Relative to each element's own size: operators follow a uniform scale exactly.
-  kAbsolute,  ///< The absolute constants of the public `diffusion_net` package (1e-10, 1e-5):
-              ///< parity with it.
+  kAbsolute,  ///< The absolute constants of the public `diffusion_net` package (1e-10 in
+              ///< cotangents, 1e-5 in gradients, 1e-6 in operators' normals): parity with it.
 };
 
 /// (F,) areas.
