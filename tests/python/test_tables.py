@@ -291,6 +291,8 @@ def test_the_report_says_what_was_run_and_ends_with_the_claims(corpus: Path) -> 
     assert "seeds 3" in text
     assert "paper's LVE (other data)" in text
     assert "0.0025" in next(line for line in text.splitlines() if line.startswith("| ca "))
+    assert "LVE here: ca_concat < gcn_ca_concat < ca < concat." in text
+    assert "In the paper: gcn_ca_concat < ca_concat < ca < concat." in text
     ending = text[text.index("## Claims of the paper") :]
     assert "| ca_concat beats ca (LVE) | supp. Table 2: 0.0023 and 0.0025 | **held** |" in ending
     assert (

@@ -53,6 +53,8 @@ def make_result(
 ) -> dict[str, Any]:
     """Everything that the files say: what was run, pooled scores with intervals, verdicts, scores of clips."""
     printed = {row.name: row.paper for row in table.rows}
+    trainings = [one for row in rows for run in row["runs"] for one in run["trainings"]]
+    used = {*table.tests, *(name for one in trainings for name in one["sets"])}
     groups = (ALL,) if table.pooled else table.tests
     verdicts = judge(table.claims, {row["name"]: row for row in rows}, seed)
     return {
@@ -64,7 +66,7 @@ def make_result(
         "seed": seed,
         "command": command,
         "commit": git_commit(),
-        "data": catalogue.describe(),
+        "data": {name: text for name, text in catalogue.describe().items() if name in used},
         "is_open": catalogue.is_open,
         "tests": list(table.tests),
         "clips": asdict(table.view),
@@ -165,7 +167,17 @@ def _scores(result: Mapping[str, Any], group: str) -> str:
             printed = [paper.get(m["metric"]) for m in shown]
             shares = ["" if v is None else f"*{v:g}*" for v in printed]
             lines.append(["*paper, other data*", *shares, *([""] if several else [])])
-    return _grid(header, lines)
+    return _grid(header, lines) + (_orders(result, group, single) if single else "")
+
+
+def _orders(result: Mapping[str, Any], group: str, metric: Mapping[str, str]) -> str:
+    """The rows from the least value to the most, here and in the paper."""
+    key = metric["metric"]
+    rows = [row for row in result["rows"] if key in row["paper"].get(group, {})]
+    here = sorted(rows, key=lambda row: row["scores"][group][key]["mean"])
+    paper = sorted(rows, key=lambda row: row["paper"][group][key])
+    names = [" < ".join(row["name"] for row in order) for order in (here, paper)]
+    return f"\n\n{metric['title']} here: {names[0]}.\n\nIn the paper: {names[1]}."
 
 
 def _trainings(result: Mapping[str, Any]) -> str:
