@@ -38,6 +38,7 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
         else:
             _draw_own(axis, result, rows, group)
         axis.tick_params(labelsize=8)
+        axis.locator_params(axis="x", nbins=5)
         axis.spines[["top", "right"]].set_visible(False)
     figure.savefig(path, dpi=110)
 
