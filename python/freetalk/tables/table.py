@@ -139,10 +139,7 @@ class TableRun:
     def stored(self, row: Row) -> RowResult | None:
         """A row that was made before with the same trainings and scores."""
         path = self._path(row)
-        if not path.is_file():
-            return None
-        found: RowResult = json.loads(path.read_text())
-        return found if found["key"] == self._key(row) else None
+        return json.loads(path.read_text()) if path.is_file() else None
 
     def predictions(self, folders: Sequence[tuple[str, Path]]) -> list[RowResult]:
         """Rows of other systems, from their predictions of the test clips on the tables' meshings.
@@ -234,7 +231,7 @@ class TableRun:
 
     def _path(self, row: Row) -> Path:
         name = "".join(c if c.isalnum() else "_" for c in row.name).strip("_")
-        return self.work / "rows" / self.table.name / f"{name}.json"
+        return self.work / "rows" / self.table.name / f"{name}-{self._key(row)}.json"
 
     def _key(self, row: Row) -> str:
         content = {
