@@ -13,6 +13,7 @@
 
 #include "freetalk/nn/fused_diffusion.h"
 #include "fused_kernels.h"
+#include "fused_layout.h"
 #include "mesh_rows.h"
 
 namespace freetalk::nn {
@@ -28,19 +29,6 @@ namespace fused {
 
 inline constexpr int64_t kEigenBlock = 8;  // the accumulation kernel's rows
 inline constexpr int64_t kMaxKeys = 128;   // the softmax kernel's work space
-
-inline int64_t round_up(int64_t value, int64_t multiple) {
-  return (value + multiple - 1) / multiple * multiple;
-}
-
-inline at::Tensor plain(const at::Tensor& x) { return x.detach().to(at::kFloat).contiguous(); }
-
-/// (R, C) with zeros to (rows, columns).
-inline at::Tensor padded(const at::Tensor& x, int64_t rows, int64_t columns) {
-  at::Tensor result = at::zeros({rows, columns}, at::kFloat);
-  result.narrow(0, 0, x.size(0)).narrow(1, 0, x.size(1)).copy_(x);
-  return result;
-}
 
 template <class T>
 class FusedEngine final : public FusedDiffusion::Engine {

@@ -19,8 +19,8 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 QUICK = ["loop.threads=1", "loop.device=cpu"]
 # A step this small moves no weight by more than float16 resolves.
 STILL = [*QUICK, "loop.max_steps=1", "loop.validate_every=0", "loop.learning_rate=1e-12"]
-# The tests' corpus has none of this source.
-START = ["task.init=open-small", "task.source_weights.emodb=0"]
+# The tests' corpus has none of these sources.
+START = ["task.init=open-small", "task.source_weights.emodb=0", "task.source_weights.running=0"]
 
 
 @pytest.fixture(scope="module")

@@ -43,7 +43,9 @@ class FeatureCache:
         half: bool = False,
     ) -> None:
         self.encoder = encoder
-        self.directory = Path(directory) if directory is not None else default_cache_dir() / "speech"
+        self.directory = (
+            Path(directory) if directory is not None else default_cache_dir() / "speech"
+        )
         self.half = half
         self.refresh()
 
