@@ -74,6 +74,9 @@ class AtsTask:
                 f"{self.features.width} channels; leave model.audio_dim out"
             )
         self.model_options = AtsOptions.from_dict(fields)
+        torch.manual_seed(
+            config.loop.seed
+        )  # the same start, whether the features were cached or not
         self.model = Ats(self.model_options).to(device)
         self.model.set_motion_statistics(*self._statistics())
         self.schedule = Schedule(
