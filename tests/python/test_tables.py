@@ -23,7 +23,7 @@ from freetalk.tables import main
 from freetalk.tables.claims import HELD, OPPOSITE, UNDECIDED, Claim, judge
 from freetalk.tables.definitions import TABLES, Recipes
 from freetalk.tables.papers import DATASETS
-from freetalk.tables.report import load_result, make_result, markdown
+from freetalk.tables.report import make_result, markdown
 from freetalk.tables.scoring import lip_edges, roughness
 from freetalk.tables.sets import FULL_FAMILIES, OPEN_SETS, SMALL_FAMILIES, Catalogue, parse_sets
 from freetalk.tables.sizes import SIZES, TINY
@@ -219,7 +219,7 @@ def test_a_killed_table_goes_on_after_its_last_row(corpus: Path, tmp_path: Path)
     written = first.stat().st_mtime_ns
     assert main("supp_2", arguments) == 0
     assert first.stat().st_mtime_ns == written
-    result = load_result(tmp_path / "out/supp_2.json")
+    result = json.loads((tmp_path / "out/supp_2.json").read_text())
     names = [row["name"] for row in result["rows"]]
     assert names == ["concat", "ca", "ca_concat", "gcn_ca_concat", "still face"]
     assert (tmp_path / "out/supp_2.png").read_bytes().startswith(b"\x89PNG")
@@ -270,7 +270,7 @@ def test_speech_moves_meshes_of_mixed_datasets(corpus: Path, own: Path, tmp_path
         np.savez(tmp_path / "perfect" / f"{clip.id}.npz", displacements=motion)
     arguments += [f"--pred=Perfect={tmp_path / 'perfect'}", "--settings", "2+2,3", "2+2"]
     assert main("table_2", arguments) == 0
-    result = load_result(tmp_path / "out/table_2.json")
+    result = json.loads((tmp_path / "out/table_2.json").read_text())
     scores = {row["name"]: row["scores"]["MEAD-EMOTE"] for row in result["rows"]}
     assert list(scores) == ["2 + 2,3", "2 + 2", "still face", "Perfect"]
     assert scores["Perfect"]["lve"]["mean"] == 0

@@ -24,6 +24,7 @@ from freetalk.data.landmarks import lip_opening
 from freetalk.data.mixed import MixedDataset
 from freetalk.data.open_corpus import OpenCorpus
 from freetalk.data.registered import RegisteredDataset
+from freetalk.data.resampling import interpolate_frames
 from freetalk.data.safe_pickle import UnsafePickleError, load_pickle
 
 __all__ = [
@@ -51,6 +52,7 @@ __all__ = [
     "VertexCountError",
     "check_dataset",
     "index_hash",
+    "interpolate_frames",
     "lip_opening",
     "load_pickle",
     "open_dataset",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -334,15 +333,3 @@ def _unit(unit: str) -> str:
 def _grid(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
     rows = [header, ["---"] * len(header), *lines]
     return "\n".join("| " + " | ".join(cells) + " |" for cells in rows)
-
-
-def load_result(path: Path) -> dict[str, Any]:
-    """Reads a result back.
-
-    Raises:
-        ValueError: the file is no table.
-    """
-    content = json.loads(path.read_text())
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise ValueError(f"{path} holds no table of freetalk")
-    return content

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from freetalk import metrics
 from freetalk._pretrained import PRETRAINED
 from freetalk.ats import Ats, GenerateOptions, generate
-from freetalk.data import FaceMesh, MotionSequence
+from freetalk.data import FaceMesh, MotionSequence, interpolate_frames
 from freetalk.evaluate.masks import landmark_masks
 from freetalk.evaluate.metric_specs import spec_of
 from freetalk.speech import SpeechEncoder, encode_speech
@@ -233,10 +233,4 @@ class Speaker:
 def _at_rate(motion: torch.Tensor, fps: float, clip: MotionSequence) -> FloatArray:
     """Motion at `fps` as the clip's frames, linear in between."""
     at = np.arange(clip.num_frames) * fps / clip.fps
-    at = at[at <= len(motion) - 1 + 1e-6]
-    before = np.minimum(np.floor(at + 1e-6).astype(np.int64), len(motion) - 1)
-    after = np.minimum(before + 1, len(motion) - 1)
-    share = (at - before).clip(0.0).astype(np.float32)[:, None, None]
-    frames = motion.numpy()
-    mixed: FloatArray = frames[before] * (1 - share) + frames[after] * share
-    return mixed.astype(np.float32)
+    return interpolate_frames(motion.numpy(), at[at <= len(motion) - 1 + 1e-6])

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from freetalk.data import FaceMesh, MotionDataset, MotionSequence
+from freetalk.data import FaceMesh, MotionDataset, MotionSequence, interpolate_frames
 from freetalk.data.dataset import FloatArray, chosen
 
 
@@ -209,14 +209,6 @@ class DatasetView:
         clip = self._clips[sequence.id]
         last = sequence.num_frames if stop is None else min(stop, sequence.num_frames)
         at = (clip.first + np.arange(start, last)) * (clip.own.fps / self.fps)
-        before = np.floor(at + 1e-6).astype(np.int64)
-        share = (at - before).clip(0.0).astype(np.float32)
-        first = int(before[0])
-        frames = read(clip.own, first, min(int(before[-1]) + 2, clip.own.num_frames))
-        low = before - first
-        if not share.any():
-            return np.ascontiguousarray(frames[low])
-        high = np.minimum(low + 1, len(frames) - 1)
-        weight = share.reshape(-1, *[1] * (frames.ndim - 1))
-        mixed: FloatArray = frames[low] * (1 - weight) + frames[high] * weight
-        return mixed
+        first = int(at[0])
+        frames = read(clip.own, first, min(int(at[-1]) + 2, clip.own.num_frames))
+        return interpolate_frames(frames, at - first)

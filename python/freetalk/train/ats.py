@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from freetalk._pretrained import PRETRAINED
 from freetalk.ats import Ats, AtsOptions, GenerateOptions, generate
-from freetalk.data import NUM_LANDMARKS, MotionDataset, MotionSequence
+from freetalk.data import NUM_LANDMARKS, MotionDataset, MotionSequence, interpolate_frames
 from freetalk.data.landmarks import INNER_LIP_PAIRS, LIPS, LOWER_INNER_LIP, UPPER_INNER_LIP
 from freetalk.diffusion import Schedule, ScheduleOptions
 from freetalk.train.checkpoint import export_model
@@ -24,7 +24,6 @@ from freetalk.train.losses import motion_counts, motion_loss
 from freetalk.train.mosaic import FloatArray, Mosaics
 from freetalk.train.samples import MeanFace, Sample
 from freetalk.train.sampling import SequenceSampler, numpy_generator
-from freetalk.train.speech_targets import interpolate_frames
 
 _VALIDATION_SEED = 30
 #: Frames and denoising steps of a sample to look at.
@@ -74,9 +73,8 @@ class AtsTask:
                 f"{self.features.width} channels; leave model.audio_dim out"
             )
         self.model_options = AtsOptions.from_dict(fields)
-        torch.manual_seed(
-            config.loop.seed
-        )  # the same start, whether the features were cached or not
+        # The same start, whether the features were cached or not.
+        torch.manual_seed(config.loop.seed)
         self.model = Ats(self.model_options).to(device)
         self.model.set_motion_statistics(*self._statistics())
         self.schedule = Schedule(

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from freetalk.data import MotionSequence, OpenCorpus, lip_opening
+from freetalk.data import MotionSequence, OpenCorpus, interpolate_frames, lip_opening
 from freetalk.train.speech_recordings import RECORDED, Recordings
 
 FloatArray = npt.NDArray[np.float32]
@@ -96,15 +96,6 @@ class SpeechTargets:
     def _intervals(self, sequence: MotionSequence) -> list[tuple[float, float, str]]:
         heard = self.recordings if sequence.source == RECORDED else self.corpus
         return heard.phones(sequence)
-
-
-def interpolate_frames(values: FloatArray, frames: npt.NDArray[np.floating]) -> FloatArray:
-    """Rows of `values` (T, ...) at real-valued frame numbers, linearly."""
-    low = np.clip(np.floor(frames).astype(np.int64), 0, len(values) - 1)
-    high = np.minimum(low + 1, len(values) - 1)
-    share = (frames - low).reshape((-1,) + (1,) * (values.ndim - 1)).astype(np.float32)
-    result: FloatArray = values[low] * (1 - share) + values[high] * share
-    return result
 
 
 def mel_filters(num_mels: int, fft_size: int, sample_rate_hz: int) -> Tensor:
