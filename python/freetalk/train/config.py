@@ -158,6 +158,9 @@ class StmTaskOptions:
         frames: consecutive frames of a window.
         num_meshes: (identity, topology) pairs of the train split that are drawn, 0 for all.
         max_vertices: meshings with more vertices are left out of training, 0 for no limit.
+        crops: share of the faces drawn that are cropped at random around eyes, nose and mouth, so
+            that the network does not depend on where a mesh ends.
+        missing_faces: largest share of a cropped face's triangles that is taken away.
         source_weights: share of each source in the batches; ``random`` is drawn combinations of
             expressions. Empty takes all sources in proportion to their length.
         rotation_deg: misalignment of the mesh: largest rotation.
@@ -180,6 +183,8 @@ class StmTaskOptions:
     frames: int = 12
     num_meshes: int = 0
     max_vertices: int = 0
+    crops: float = 0.0
+    missing_faces: float = 0.0
     source_weights: dict[str, float] = field(default_factory=dict)
     rotation_deg: float = 0.0
     translation_m: float = 0.0
@@ -196,6 +201,12 @@ class StmTaskOptions:
         """Raises ValueError where a value is out of range."""
         _require(self.frames >= 3, "task.frames must be at least 3", self.frames)
         _require(0 <= self.scale_range < 1, "task.scale_range must be in [0, 1)", self.scale_range)
+        _require(0 <= self.crops <= 1, "task.crops must be in [0, 1]", self.crops)
+        _require(
+            0 <= self.missing_faces < 1,
+            "task.missing_faces must be in [0, 1)",
+            self.missing_faces,
+        )
         _require(self.lip_weight > 0, "task.lip_weight must be positive", self.lip_weight)
 
 

@@ -15,6 +15,7 @@ from freetalk.train.checkpoint import export_model
 from freetalk.train.config import StmTaskOptions, TrainingConfig
 from freetalk.train.losses import motion_loss
 from freetalk.train.samples import Sample
+from freetalk.train.stm_cuts import FaceCuts
 from freetalk.train.stm_meshes import (
     Placement,
     PreparedMesh,
@@ -47,7 +48,10 @@ class StmTask:
         self.batch_size = config.loop.batch_size
         self.device = device
         self.model = Stm(StmOptions.from_dict(config.model)).to(device)
-        self.meshes = self._prepare("train", self.options.num_meshes, self.options.max_vertices)
+        cuts = FaceCuts(self.options.crops, self.options.missing_faces)
+        self.meshes = self._prepare(
+            "train", self.options.num_meshes, self.options.max_vertices, cuts
+        )
         self._held_out_meshes = self._prepare("val", _VALIDATION_MESHES, 0)
         shares, frames = self.options.source_weights, self.options.frames
         self.windows = FaceWindows(corpus, self.meshes, "train", shares, frames)
@@ -181,7 +185,9 @@ class StmTask:
             terms["loss"] = terms["loss"] + o.error_weight * terms["relative_error"]
         return terms
 
-    def _prepare(self, split: str, count: int, max_vertices: int) -> list[PreparedMesh]:
+    def _prepare(
+        self, split: str, count: int, max_vertices: int, cuts: FaceCuts | None = None
+    ) -> list[PreparedMesh]:
         options = self.model.options
         return prepare_meshes(
             self.corpus,
@@ -192,4 +198,5 @@ class StmTask:
             options.k_eig,
             self.options.operator_cache,
             self.device,
+            cuts,
         )

@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from freetalk.data import MotionDataset
 from freetalk.geometry import SurfaceOperators, surface_operators
+from freetalk.train.stm_cuts import FaceCuts
 
 
 @dataclass
@@ -27,6 +28,7 @@ class PreparedMesh:
         operators: of the vertices divided by the model's ``length_scale``, float32.
         lip_mask: (V,) bool.
         dataset: name of the dataset, whose sequences move it.
+        kept: (V,) the meshing's vertices that are left after a crop; None where all are.
     """
 
     identity: int
@@ -35,6 +37,7 @@ class PreparedMesh:
     operators: SurfaceOperators
     lip_mask: Tensor
     dataset: str
+    kept: npt.NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True)
@@ -90,24 +93,34 @@ def prepare_mesh(
     k_eig: int,
     cache_dir: str | Path = "",
     device: torch.device | None = None,
+    cuts: FaceCuts | None = None,
+    index: int = 0,
 ) -> PreparedMesh:
-    """A corpus face with its operators, from the disk cache where they are known."""
+    """A corpus face with its operators, from the disk cache where they are known.
+
+    With `cuts` it loses what they take from the `index`-th face.
+    """
     device = device or torch.device("cpu")
     mesh = corpus.mesh(identity, topology)
+    left = cuts.of(mesh, index) if cuts is not None else None
+    kept, faces = left if left is not None else (None, mesh.faces)
+    vertices = mesh.vertices if kept is None else mesh.vertices[kept]
+    lip_mask = mesh.lip_mask if kept is None else mesh.lip_mask[kept]
     operators: Any = surface_operators(
-        mesh.vertices.astype(np.float64) / length_scale,
-        mesh.faces,
-        k=min(k_eig, len(mesh.vertices)),
+        vertices.astype(np.float64) / length_scale,
+        faces,
+        k=min(k_eig, len(vertices)),
         cache=cache_dir or True,
         name=mesh.name,
     )
     return PreparedMesh(
         identity=identity,
         topology=topology,
-        positions=torch.from_numpy(mesh.vertices).to(device),
+        positions=torch.from_numpy(vertices).to(device),
         operators=operators.to(dtype=torch.float32, device=str(device)),
-        lip_mask=torch.from_numpy(mesh.lip_mask).to(device),
+        lip_mask=torch.from_numpy(lip_mask).to(device),
         dataset=mesh.dataset,
+        kept=kept,
     )
 
 
@@ -120,6 +133,7 @@ def prepare_meshes(
     k_eig: int,
     cache_dir: str,
     device: torch.device,
+    cuts: FaceCuts | None = None,
 ) -> list[PreparedMesh]:
     """Faces of a split, in the order of ``corpus.faces``.
 
@@ -132,14 +146,17 @@ def prepare_meshes(
         k_eig: eigenpairs.
         cache_dir: folder of operators, empty for the user's cache.
         device: where the tensors go.
+        cuts: what the faces lose; None leaves them whole.
     """
     pairs = corpus.faces(split, max_vertices)
     if not pairs:
         raise ValueError(f"{corpus.name} has no faces or no meshings in its {split} split")
     return [
-        prepare_mesh(corpus, identity, topology, length_scale, k_eig, cache_dir, device)
-        for identity, topology in tqdm(
-            pairs[: count or len(pairs)], desc=f"{split} operators", unit="mesh"
+        prepare_mesh(
+            corpus, identity, topology, length_scale, k_eig, cache_dir, device, cuts, index
+        )
+        for index, (identity, topology) in enumerate(
+            tqdm(pairs[: count or len(pairs)], desc=f"{split} operators", unit="mesh")
         )
     ]
 

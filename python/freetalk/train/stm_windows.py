@@ -94,12 +94,9 @@ class FaceWindows:
         """A window at a drawn place of a sequence."""
         start = int(rng.integers(0, max(1, sequence.num_frames - self.frames + 1)))
         stop = start + self.frames
-        topology = self._meshes[mesh].topology
-        return Window(
-            mesh,
-            self.corpus.landmarks(sequence, start, stop),
-            self.corpus.vertex_displacements(topology, sequence, start, stop),
-        )
+        face = self._meshes[mesh]
+        moved = self.corpus.vertex_displacements(face.topology, sequence, start, stop)
+        return Window(mesh, self.corpus.landmarks(sequence, start, stop), _left(face, moved))
 
     def _sampler_of(self, mesh: int) -> SequenceSampler:
         if mesh not in self._of_mesh:
@@ -128,10 +125,15 @@ class FaceWindows:
         names = self._expressive.expressions
         weights = random_weights(rng, self.frames, len(names), self._drawable)
         mesh = self._faces[int(rng.integers(len(self._faces)))]
-        topology = self._meshes[mesh].topology.removeprefix(self._prefix)
-        target = self._expressive.displacements_of(topology, weights)
+        face = self._meshes[mesh]
+        moved = self._expressive.displacements_of(face.topology.removeprefix(self._prefix), weights)
         landmarks = np.tensordot(weights, self._basis, axes=1).astype(np.float32)
-        return Window(mesh, landmarks, target)
+        return Window(mesh, landmarks, _left(face, moved))
+
+
+def _left(face: PreparedMesh, displacements: FloatArray) -> FloatArray:
+    """(T, V', 3) of the vertices that a crop has left, from those of the whole meshing."""
+    return displacements if face.kept is None else displacements[:, face.kept]
 
 
 def _key(sequence: MotionSequence) -> _Key:
