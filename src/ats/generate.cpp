@@ -50,6 +50,8 @@ void GenerateOptions::check() const {
   sampler_options().check();
   FREETALK_CHECK(std::isfinite(audio_guidance) && std::isfinite(affect_guidance),
                  "audio_guidance and affect_guidance must be finite");
+  FREETALK_CHECK(temperature >= 0 && temperature <= 1,
+                 "temperature must be between 0 and 1, found ", temperature);
   FREETALK_CHECK(window_overlap >= 0, "window_overlap must not be negative, found ",
                  window_overlap);
   FREETALK_CHECK(windows_per_batch > 0, "windows_per_batch must be positive, found ",
@@ -89,7 +91,7 @@ at::Tensor generate(Ats& model, const at::Tensor& features, const Affect& affect
   for (const at::Generator& generator : generators) {
     start.push_back(at::randn({features.size(0), kMotionDim}, generator, features.options()));
   }
-  const at::Tensor noise = at::stack(start);
+  const at::Tensor noise = at::stack(start) * options.temperature;
   at::Tensor result = at::empty_like(noise);
   Shared shared;
   const auto count = static_cast<int64_t>(plan.groups.size());
@@ -104,7 +106,7 @@ at::Tensor generate(Ats& model, const at::Tensor& features, const Affect& affect
     const at::Tensor x0 = diffusion::sample(
         schedule, [&](const at::Tensor& x, int64_t timestep) { return group.denoise(x, timestep); },
         noise.narrow(1, first, frames), sampling,
-        [&](const at::Tensor& like) { return group.draw(like, generators); },
+        [&](const at::Tensor& like) { return group.draw(like, generators) * options.temperature; },
         [&](int64_t done, int64_t total) {
           if (on_step) on_step(i * total + done, count * total);
         });

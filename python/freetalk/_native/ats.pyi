@@ -89,6 +89,7 @@ class GenerateOptions:
     precision: typing.Any
     sampler: typing.Any
     spacing: typing.Any
+    temperature: typing.Any
     window_overlap: typing.Any
     windows_per_batch: typing.Any
     @staticmethod

@@ -27,6 +27,7 @@ class TalkerOptions:
     precision: typing.Any
     sampler: typing.Any
     seed: typing.Any
+    temperature: typing.Any
     unit: typing.Any
     up: typing.Any
     @staticmethod

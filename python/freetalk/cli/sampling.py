@@ -29,6 +29,17 @@ def guidance(text: str) -> dict[str, float]:
     return found
 
 
+def temperature(text: str) -> float:
+    """A number from 0 to 1."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value <= 1:
+        raise argparse.ArgumentTypeError(f"'{text}' is no temperature: give a number from 0 to 1")
+    return value
+
+
 def add_sampling(parser: argparse.ArgumentParser, count: Callable[[str], int]) -> None:
     """Adds the options; ``count`` reads a whole number above 0."""
     absent = argparse.SUPPRESS  # the weights say
@@ -43,6 +54,13 @@ def add_sampling(parser: argparse.ArgumentParser, count: Callable[[str], int]) -
     )
     parser.add_argument(
         "--guidance", type=guidance, default=absent, metavar="W", help=guidance_help
+    )
+    temperature_help = (
+        "from 0 to 1: how much motion varies from seed to seed; less is closer to the speech, 0 is "
+        "the same for every seed; by default that of the weights"
+    )
+    parser.add_argument(
+        "--temperature", type=temperature, default=absent, metavar="T", help=temperature_help
     )
     parser.add_argument(
         "--precision",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +28,7 @@ class SpeechToMotion:
     def __init__(self, directory: str | Path, num_steps: int = 50) -> None:
         self.encoder = SpeechEncoder.from_pretrained(Path(directory) / "speech").eval()
         self.ats = Ats.from_pretrained(Path(directory) / "ats").eval()
-        self.options = GenerateOptions(num_steps=num_steps)
+        self.options = GenerateOptions.from_dict({**_sampling(directory), "num_steps": num_steps})
         self.fps = float(self.ats.options.fps)
         self.emotions = tuple(self.ats.options.emotions)
 
@@ -55,6 +57,15 @@ class SpeechToMotion:
             )
         result: FloatArray = motion.numpy()
         return result
+
+
+def _sampling(directory: str | Path) -> dict[str, Any]:
+    """How the weights want to be sampled, as their ``talker.json`` says."""
+    description = Path(directory) / "talker.json"
+    if not description.is_file():
+        return {}
+    own: dict[str, Any] = json.loads(description.read_text()).get("generate", {})
+    return own
 
 
 def load_stm(directory: str | Path) -> Stm:
