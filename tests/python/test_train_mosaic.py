@@ -11,7 +11,7 @@ from mini_corpus import write_mini_corpus
 
 from freetalk.data import MotionSequence, OpenCorpus
 from freetalk.train.config import load_config
-from freetalk.train.mosaic import Mosaics, faded
+from freetalk.train.mosaic import Mosaics, blended, faded
 from freetalk.train.sampling import numpy_generator
 from freetalk.train.speech import SpeechTask
 
@@ -69,3 +69,25 @@ def test_speech_crops_join_pieces_with_their_own_targets(
         np.testing.assert_array_equal(crop["moving"], named == "synthetic")
         mixed += len(set(crop["source"].tolist())) > 1
     assert mixed > 0
+
+
+def test_a_blend_is_convex_in_all_that_the_windows_hold() -> None:
+    def window(frames: int, value: float, emotion: int) -> dict[str, object]:
+        return {
+            "audio": np.full((frames, 5), value, np.float32),
+            "motion": np.full((frames, 6), -value, np.float32),
+            "emotion": np.eye(3, dtype=np.float32)[emotion],
+            "intensity": 1.0 + 2 * value,
+        }
+
+    rng = np.random.default_rng(0)
+    shares = []
+    for _ in range(200):
+        mixed = blended(window(20, 0.0, 0), window(12, 1.0, 2), rng)
+        share = float(mixed["intensity"] - 1) / 2
+        assert mixed["audio"].shape == (12, 5) and mixed["motion"].dtype == np.float32
+        np.testing.assert_allclose(mixed["audio"], share, atol=1e-6)
+        np.testing.assert_allclose(mixed["motion"], -share, atol=1e-6)
+        np.testing.assert_allclose(mixed["emotion"], [1 - share, 0, share], atol=1e-6)
+        shares.append(share)
+    assert min(shares) < 0.02 and max(shares) > 0.98 and 0.4 < np.mean(shares) < 0.6

@@ -21,7 +21,7 @@ from freetalk.train.config import AtsTaskOptions, TrainingConfig
 from freetalk.train.features import FeatureCache
 from freetalk.train.initial import initial_weights
 from freetalk.train.losses import motion_counts, motion_loss
-from freetalk.train.mosaic import FloatArray, Mosaics
+from freetalk.train.mosaic import FloatArray, Mosaics, blended
 from freetalk.train.samples import MeanFace, Sample
 from freetalk.train.sampling import SequenceSampler, numpy_generator
 
@@ -100,6 +100,8 @@ class AtsTask:
     def item(self, rng: np.random.Generator) -> dict[str, Any]:
         """A window of up to ``max_frames`` frames, its noise and its diffusion step."""
         window = self._window(self.sampler.draw(rng), rng)
+        if rng.random() < self.options.blend:
+            window = blended(window, self._window(self.sampler.draw(rng), rng), rng)
         return {
             **window,
             "drop_audio": rng.random() < self.options.audio_dropout,
@@ -264,7 +266,7 @@ class AtsTask:
         return {
             "audio": audio,
             "motion": motion.reshape(len(motion), -1),
-            "emotion": sequence.emotion,
+            "emotion": np.eye(len(self.corpus.emotions), dtype=np.float32)[sequence.emotion],
             "intensity": sequence.intensity,
         }
 
@@ -279,7 +281,7 @@ class AtsTask:
             audio[row, :frames] = torch.from_numpy(item["audio"])
             motion[row, :frames] = torch.from_numpy(item["motion"])
             valid[row, :frames] = True
-            emotion[row, item["emotion"]] = 1.0
+            emotion[row] = torch.from_numpy(item["emotion"])
         intensity = torch.tensor([item["intensity"] for item in items], dtype=torch.float32)
         return {
             "audio": audio,

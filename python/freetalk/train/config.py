@@ -110,6 +110,9 @@ class AtsTaskOptions:
             paper.
         mosaic: share of the windows joined from pieces of several takes of one emotion, so that
             each is judged by its own sound; 0 is the paper.
+        blend: share of the windows that are convex combinations of two, in features, motion, emotion
+            and intensity [mixup, Zhang et al. 2018]: between what was heard the answer is
+            linear, which carries over better to other ways of speaking; 0 is the paper.
         source_weights: share of each source in the batches; others are left out. Empty takes all
             in proportion to their length.
         lambda_velocity: weight of Eq. 15's velocity term.
@@ -129,6 +132,7 @@ class AtsTaskOptions:
     audio_dropout: float = 0.0
     affect_dropout: float = 0.0
     mosaic: float = 0.0
+    blend: float = 0.0
     source_weights: dict[str, float] = field(default_factory=dict)
     lambda_velocity: float = 0.3
     lambda_acceleration: float = 0.1
@@ -139,6 +143,8 @@ class AtsTaskOptions:
 
     def check(self) -> None:
         """Raises ValueError where a value is out of range."""
+        _require(0 <= self.mosaic <= 1, "task.mosaic must be in [0, 1]", self.mosaic)
+        _require(0 <= self.blend <= 1, "task.blend must be in [0, 1]", self.blend)
         _require(
             self.loss_units in ("metres", "normalised"),
             "task.loss_units must be metres or normalised",

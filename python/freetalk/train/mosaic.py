@@ -1,4 +1,4 @@
-"""Windows joined from pieces of several takes that show the same emotion.
+"""Windows made of several takes: joined from pieces that show the same emotion, or laid over one another.
 
 A whole take tells by its rhythm where it comes from (separate words, running speech, a synthetic voice), and a
 denoiser that sees the whole window learns to answer in that source's manner. In a mosaic a piece has to be judged by
@@ -8,6 +8,7 @@ its own sound.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +26,9 @@ _LIVELY_SHARE = (
 )
 _CANDIDATES = 5
 _FADE = 4  # frames over which one piece becomes the next
+_BLEND_SHAPE = (
+    0.5  # of the Beta distribution of a blend's shares: mostly one window, little of the other
+)
 
 
 class Mosaics:
@@ -72,6 +76,22 @@ def _liveliness(piece: tuple[FloatArray, FloatArray]) -> float:
 
 def _kind(sequence: MotionSequence) -> tuple[int, float, float]:
     return sequence.emotion, sequence.intensity, sequence.fps
+
+
+def blended(one: dict[str, Any], other: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
+    """A convex combination of two windows, over the frames of the shorter one.
+
+    Args:
+        one: ``audio`` (T, C), ``motion`` (T, ...), and values that do not change over time.
+        other: the same of S frames.
+        rng: draws the share.
+    """
+    frames = min(len(one["motion"]), len(other["motion"]))
+    share = np.float32(rng.beta(_BLEND_SHAPE, _BLEND_SHAPE))
+    cut = [
+        {**w, "audio": w["audio"][:frames], "motion": w["motion"][:frames]} for w in (one, other)
+    ]
+    return {name: (1 - share) * cut[0][name] + share * cut[1][name] for name in one}
 
 
 def faded(before: FloatArray, after: FloatArray) -> FloatArray:
