@@ -48,7 +48,10 @@ def main() -> None:
         parser.add_argument(f"--{name}", type=Path, required=True, help=f"exported {name} folder")
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
     parser.add_argument(
-        "--temperature", type=float, default=1.0, help="of sampling, unless a user gives another"
+        "--mouth-temperature",
+        type=float,
+        default=1.0,
+        help="of sampling, unless a user gives another",
     )
     arguments = parser.parse_args()
     SpeechEncoder.from_pretrained(arguments.speech)
@@ -66,7 +69,7 @@ def main() -> None:
         "fps": ats.options.fps,
         "sample_rate_hz": 16000,
         "emotions": list(ats.options.emotions),
-        "generate": {"temperature": arguments.temperature},
+        "generate": {"mouth_temperature": arguments.mouth_temperature},
     }
     (arguments.out / "talker.json").write_text(json.dumps(description, indent=2) + "\n")
     print(f"weights in {arguments.out}")

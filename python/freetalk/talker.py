@@ -105,7 +105,7 @@ class Talker:
                 mixture and intensity, linear in between.
             progress: a progress bar on a terminal, nothing, or a callback (done, total).
             options: further fields of ``TalkerOptions``: intensity, fps, seed, sampler ("ddim", "ddpm",
-                "dpmpp"), num_steps, eta, audio_guidance, affect_guidance, temperature, precision, unit, up,
+                "dpmpp"), num_steps, eta, audio_guidance, affect_guidance, mouth_temperature, precision, unit, up,
                 forward ...
 
         Returns:

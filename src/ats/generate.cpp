@@ -40,6 +40,16 @@ Affect of_frames(const Affect& affect, int64_t first, int64_t count) {
   return {affect.emotion, affect.intensity, affect.weight.narrow(0, first, count)};
 }
 
+constexpr int64_t kBrows = 17, kNose = 27, kEyes = 36, kMouth = 48;  // first landmarks (iBUG)
+
+/// (204,) factor of the noise of each coordinate.
+at::Tensor noise_amount(const GenerateOptions& options, const at::Tensor& like) {
+  at::Tensor amount = at::full({kNumLandmarks, 3}, options.mouth_temperature, like.options());
+  amount.narrow(0, kBrows, kNose - kBrows).fill_(1.0);
+  amount.narrow(0, kEyes, kMouth - kEyes).fill_(1.0);
+  return amount.flatten();
+}
+
 }  // namespace
 
 diffusion::SamplerOptions GenerateOptions::sampler_options() const {
@@ -50,8 +60,8 @@ void GenerateOptions::check() const {
   sampler_options().check();
   FREETALK_CHECK(std::isfinite(audio_guidance) && std::isfinite(affect_guidance),
                  "audio_guidance and affect_guidance must be finite");
-  FREETALK_CHECK(temperature >= 0 && temperature <= 1,
-                 "temperature must be between 0 and 1, found ", temperature);
+  FREETALK_CHECK(mouth_temperature >= 0 && mouth_temperature <= 1,
+                 "mouth_temperature must be between 0 and 1, found ", mouth_temperature);
   FREETALK_CHECK(window_overlap >= 0, "window_overlap must not be negative, found ",
                  window_overlap);
   FREETALK_CHECK(windows_per_batch > 0, "windows_per_batch must be positive, found ",
@@ -91,7 +101,8 @@ at::Tensor generate(Ats& model, const at::Tensor& features, const Affect& affect
   for (const at::Generator& generator : generators) {
     start.push_back(at::randn({features.size(0), kMotionDim}, generator, features.options()));
   }
-  const at::Tensor noise = at::stack(start) * options.temperature;
+  const at::Tensor amount = noise_amount(options, features);
+  const at::Tensor noise = at::stack(start) * amount;
   at::Tensor result = at::empty_like(noise);
   Shared shared;
   const auto count = static_cast<int64_t>(plan.groups.size());
@@ -106,7 +117,7 @@ at::Tensor generate(Ats& model, const at::Tensor& features, const Affect& affect
     const at::Tensor x0 = diffusion::sample(
         schedule, [&](const at::Tensor& x, int64_t timestep) { return group.denoise(x, timestep); },
         noise.narrow(1, first, frames), sampling,
-        [&](const at::Tensor& like) { return group.draw(like, generators) * options.temperature; },
+        [&](const at::Tensor& like) { return group.draw(like, generators) * amount; },
         [&](int64_t done, int64_t total) {
           if (on_step) on_step(i * total + done, count * total);
         });

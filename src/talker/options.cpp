@@ -20,8 +20,8 @@ void TalkerOptions::check() const {
   FREETALK_CHECK(std::isfinite(eta) && eta <= 1, "eta must be at most 1, found ", eta);
   FREETALK_CHECK(std::isfinite(audio_guidance) && std::isfinite(affect_guidance),
                  "audio_guidance and affect_guidance must be finite");
-  FREETALK_CHECK(std::isfinite(temperature) && temperature <= 1,
-                 "temperature must be at most 1, found ", temperature);
+  FREETALK_CHECK(std::isfinite(mouth_temperature) && mouth_temperature <= 1,
+                 "mouth_temperature must be at most 1, found ", mouth_temperature);
   FREETALK_CHECK(memory_mb >= 1, "memory_mb must be at least 1, found ", memory_mb);
   geometry::AlignOptions{unit, up, forward}.check();
 }

@@ -106,7 +106,7 @@ ats::GenerateOptions sampling(const TalkerOptions& options, ats::GenerateOptions
   if (options.eta >= 0) own.eta = options.eta;
   if (options.audio_guidance >= 0) own.audio_guidance = options.audio_guidance;
   if (options.affect_guidance >= 0) own.affect_guidance = options.affect_guidance;
-  if (options.temperature >= 0) own.temperature = options.temperature;
+  if (options.mouth_temperature >= 0) own.mouth_temperature = options.mouth_temperature;
   own.precision = options.precision;
   return own;
 }

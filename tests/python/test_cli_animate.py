@@ -128,12 +128,12 @@ def test_sampling_options_and_keyframes_reach_the_talker(room: Path, tmp_path: P
         "--precision",
         "bfloat16",
     ]
-    options += ["--guidance", "audio=1.5,emotion=2", "--temperature", "0.25"]
+    options += ["--guidance", "audio=1.5,emotion=2", "--mouth-temperature", "0.25"]
     assert animate(room, *options, "--out", out) == 0
     used = ft.Animation.load(out).metadata["options"]
     assert used["emotion"] == emotion
     wanted = {"sampler": "dpmpp", "num_steps": 6, "precision": "bfloat16"}
-    wanted |= {"audio_guidance": 1.5, "affect_guidance": 2.0, "temperature": 0.25}
+    wanted |= {"audio_guidance": 1.5, "affect_guidance": 2.0, "mouth_temperature": 0.25}
     assert {name: used[name] for name in wanted} == wanted
     assert animate(room, "--guidance", "1.5", "--steps", "2", "--out", out) == 0
     used = ft.Animation.load(out).metadata["options"]
@@ -146,7 +146,7 @@ def test_sampling_options_and_keyframes_reach_the_talker(room: Path, tmp_path: P
         ("--guidance", "loud=2", "audio=1.5,emotion=2"),
         ("--guidance", "audio=1,audio=2", "audio=1.5,emotion=2"),
         ("--guidance", "-1", "0 to 100"),
-        ("--temperature", "2", "0 to 1"),
+        ("--mouth-temperature", "2", "0 to 1"),
         ("--sampler", "euler", "dpmpp"),
         ("--emotion", "0=neutral; happy", "has no time"),
         ("--emotion", "1=happy; 0=sad", "must rise"),

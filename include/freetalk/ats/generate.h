@@ -24,7 +24,7 @@ struct GenerateOptions {
   std::string spacing = "auto";       // of timesteps, see diffusion::SamplerOptions
   double audio_guidance = 1.0;        // w_a, classifier-free guidance on the audio; 1: off
   double affect_guidance = 1.0;       // w_e, the same on emotion and intensity; 1: off
-  double temperature = 1.0;           // in [0, 1], scale of all noise drawn; see generate()
+  double mouth_temperature = 1.0;     // in [0, 1], scale of the mouth's noise, see generate()
   int64_t window_overlap = 30;        // frames shared by neighbouring windows, < max_frames
   int64_t windows_per_batch = 4;      // windows of a group, denoised at once: bounds memory
   std::string precision = "float32";  // of the network: "float32" (the weights' own) or "bfloat16"
@@ -36,7 +36,7 @@ struct GenerateOptions {
     v("spacing", spacing);
     v("audio_guidance", audio_guidance);
     v("affect_guidance", affect_guidance);
-    v("temperature", temperature);
+    v("mouth_temperature", mouth_temperature);
     v("window_overlap", window_overlap);
     v("windows_per_batch", windows_per_batch);
     v("precision", precision);
@@ -52,8 +52,9 @@ std::vector<int64_t> window_starts(int64_t num_frames, int64_t window, int64_t o
 /// K motions of one speech, sampled together. With guidance the estimate of x_0 is
 /// c + (w_a - 1) (c - c_without_audio) + (w_e - 1) (c - c_without_affect), c the conditional one
 /// [Ho and Salimans 2022, for two conditions].
-/// Noise of a temperature below 1 leads to likelier, less varied motion; at 0 all seeds give the
-/// same [as Grad-TTS, Popov et al. 2021, 3.3].
+/// A mouth_temperature below 1 scales all noise of mouth, nose and jaw down, which leads to
+/// likelier, less varied motion that follows the speech more closely [as Grad-TTS, Popov et al.
+/// 2021, 3.3]; brows and eyes, which speech hardly determines, keep theirs and blink as before.
 /// @param model in eval mode. @param features (T, C) speech features at the model's fps.
 /// @param affect the emotions and their weights in every frame. @param generators K of them: each
 /// draws the noise of one motion, which is that of its generator alone up to rounding.

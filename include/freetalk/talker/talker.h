@@ -38,7 +38,7 @@ struct TalkerOptions {
   double eta = -1.0;             // DDIM noise in [0, 1]; negative: as the weights say
   double audio_guidance = -1.0;  // see ats::GenerateOptions; negative: as the weights say
   double affect_guidance = -1.0;
-  double temperature = -1.0;          // see ats::GenerateOptions; negative: as the weights say
+  double mouth_temperature = -1.0;    // see ats::GenerateOptions; negative: as the weights say
   std::string precision = "float32";  // of ATS and STM: "float32" or "bfloat16" (faster, coarser)
   std::string unit = "auto";          // of the mesh, see geometry::AlignOptions
   std::string up = "auto";
@@ -57,7 +57,7 @@ struct TalkerOptions {
     v("eta", eta);
     v("audio_guidance", audio_guidance);
     v("affect_guidance", affect_guidance);
-    v("temperature", temperature);
+    v("mouth_temperature", mouth_temperature);
     v("precision", precision);
     v("unit", unit);
     v("up", up);

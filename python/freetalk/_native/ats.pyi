@@ -85,11 +85,11 @@ class GenerateOptions:
     affect_guidance: typing.Any
     audio_guidance: typing.Any
     eta: typing.Any
+    mouth_temperature: typing.Any
     num_steps: typing.Any
     precision: typing.Any
     sampler: typing.Any
     spacing: typing.Any
-    temperature: typing.Any
     window_overlap: typing.Any
     windows_per_batch: typing.Any
     @staticmethod

@@ -23,11 +23,11 @@ class TalkerOptions:
     fps: typing.Any
     intensity: typing.Any
     memory_mb: typing.Any
+    mouth_temperature: typing.Any
     num_steps: typing.Any
     precision: typing.Any
     sampler: typing.Any
     seed: typing.Any
-    temperature: typing.Any
     unit: typing.Any
     up: typing.Any
     @staticmethod

@@ -56,8 +56,8 @@ def animate(
         options["sampler"] = arguments.sampler
     if hasattr(arguments, "steps"):
         options["num_steps"] = arguments.steps
-    if hasattr(arguments, "temperature"):
-        options["temperature"] = arguments.temperature
+    if hasattr(arguments, "mouth_temperature"):
+        options["mouth_temperature"] = arguments.mouth_temperature
     if hasattr(arguments, "guidance"):
         options.update(arguments.guidance)
     animation = talker.animate(audio, mesh, **options, progress=not report.quiet)

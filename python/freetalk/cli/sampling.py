@@ -56,11 +56,11 @@ def add_sampling(parser: argparse.ArgumentParser, count: Callable[[str], int]) -
         "--guidance", type=guidance, default=absent, metavar="W", help=guidance_help
     )
     temperature_help = (
-        "from 0 to 1: how much motion varies from seed to seed; less is closer to the speech, 0 is "
-        "the same for every seed; by default that of the weights"
+        "from 0 to 1: how much the mouth's motion varies from seed to seed; less is closer to the "
+        "speech; by default that of the weights"
     )
     parser.add_argument(
-        "--temperature", type=temperature, default=absent, metavar="T", help=temperature_help
+        "--mouth-temperature", type=temperature, default=absent, metavar="T", help=temperature_help
     )
     parser.add_argument(
         "--precision",
