@@ -17,6 +17,7 @@ from freetalk.stm import Stm
 from freetalk.train import load_config, motion_loss, run
 from freetalk.train.augment import augment_wave, change_speed
 from freetalk.train.draws import Draws
+from freetalk.train.losses import closure_error
 from freetalk.train.sampling import SequenceSampler
 from freetalk.train.speech_targets import SpeechTargets, log_mel
 from freetalk.train.stm_meshes import Placement, random_placement
@@ -310,3 +311,21 @@ def test_ats_without_an_encoder_says_where_to_get_one(corpus: Path, tmp_path: Pa
     options = [*QUICK, f"task.speech_encoder={tmp_path / 'none'}"]
     with pytest.raises(FileNotFoundError, match="freetalk train speech"):
         run("ats", CONFIGS / "ats_smoke.yaml", options, corpus, tmp_path)
+
+
+def test_closure_error_counts_lips_that_close_for_a_moment() -> None:
+    wanted = torch.zeros(1, 60)
+    wanted[0, 20:40] = 0.01  # speech between two pauses
+    wanted[0, 30] = 0.0  # a p
+    valid = torch.ones(1, 60, dtype=torch.bool)
+    guess = wanted.clone()
+    guess[0, 20:30], guess[0, :10], guess[0, 50:] = 0.005, 0.004, 0.004
+    assert float(closure_error(guess, wanted, valid)) == 0  # open lips and long pauses do not count
+    guess = wanted.clone()
+    guess[0, 30] = 0.003
+    expected = 0.003**2 / 9 / float(wanted.square().mean())  # nine frames are closed near open ones
+    assert float(closure_error(guess, wanted, valid)) == pytest.approx(expected)
+    valid[0, 30] = False
+    assert float(closure_error(guess, wanted, valid)) == 0
+    still = torch.zeros(1, 60)
+    assert torch.isfinite(closure_error(still + 0.001, still, valid))

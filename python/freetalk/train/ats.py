@@ -20,7 +20,7 @@ from freetalk.train.checkpoint import export_model
 from freetalk.train.config import AtsTaskOptions, TrainingConfig
 from freetalk.train.features import FeatureCache
 from freetalk.train.initial import initial_weights
-from freetalk.train.losses import motion_counts, motion_loss
+from freetalk.train.losses import closure_error, motion_counts, motion_loss
 from freetalk.train.mosaic import FloatArray, Mosaics, blended
 from freetalk.train.samples import MeanFace, Sample
 from freetalk.train.sampling import SequenceSampler, numpy_generator
@@ -223,6 +223,12 @@ class AtsTask:
                 "loss"
             ]
             terms["loss"] = terms["loss"] + o.opening_weight * terms["opening"]
+        if o.closure_weight > 0:
+            openings = [side.flatten(-2) for side in (guess, target)]
+            if o.loss_units == "metres":
+                openings = [side / self.spread for side in openings]
+            terms["closure"] = closure_error(*map(self._gap, openings), batch["valid"])
+            terms["loss"] = terms["loss"] + o.closure_weight * terms["closure"]
         return terms
 
     def _denoise(self, batch: dict[str, Any], step: Tensor, noise: Tensor) -> Tensor:

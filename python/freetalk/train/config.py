@@ -120,6 +120,8 @@ class AtsTaskOptions:
         loss_units: ``normalised`` (each coordinate by its spread) or ``metres`` (the paper).
         lip_weight: weight of the 20 lip landmarks; 1 weighs all alike (the paper).
         opening_weight: weight of an extra term on the inner-lip gaps, 0 disables (the paper).
+        closure_weight: weight of an extra term on lips that should be closed for a moment, as in
+            p, b and m; 0 disables (the paper).
         validation_windows: windows of the validation split that are scored.
     """
 
@@ -139,6 +141,7 @@ class AtsTaskOptions:
     loss_units: str = "metres"
     lip_weight: float = 1.0
     opening_weight: float = 0.0
+    closure_weight: float = 0.0
     validation_windows: int = 32
 
     def check(self) -> None:
