@@ -224,10 +224,10 @@ class AtsTask:
             ]
             terms["loss"] = terms["loss"] + o.opening_weight * terms["opening"]
         if o.closure_weight > 0:
-            openings = [side.flatten(-2) for side in (guess, target)]
-            if o.loss_units == "metres":
-                openings = [side / self.spread for side in openings]
-            terms["closure"] = closure_error(*map(self._gap, openings), batch["valid"])
+            unit = self.spread if o.loss_units == "metres" else 1.0
+            opening = self._gap(guess.flatten(-2) / unit)
+            wanted = self._gap(target.flatten(-2) / unit)
+            terms["closure"] = closure_error(opening, wanted, batch["valid"])
             terms["loss"] = terms["loss"] + o.closure_weight * terms["closure"]
         return terms
 
