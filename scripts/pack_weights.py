@@ -50,7 +50,7 @@ def main() -> None:
     parser.add_argument(
         "--mouth-temperature",
         type=float,
-        default=1.0,
+        default=0.3,
         help="of sampling, unless a user gives another",
     )
     arguments = parser.parse_args()
