@@ -120,7 +120,7 @@ def evaluate_opening(
 def evaluate_energy(model: SpeechToMotion, path: Path, samples: int = 3) -> Scores:
     """Correlation of the generated opening with the audio's log energy on any recording."""
     audio = load_audio(str(path))
-    wave = np.asarray(audio.samples, dtype=np.float32)
+    wave = np.array(audio.samples, dtype=np.float32)
     features = model.features(wave)
     energy = log_energy(wave, len(features), model.fps, 16000)
     values = [
