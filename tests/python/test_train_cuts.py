@@ -58,6 +58,7 @@ def test_shares_of_crops_and_of_missing_triangles() -> None:
     cut = [FaceCuts(crops=0.5).of(face, index) is not None for index in range(200)]
     assert 0.4 < np.mean(cut) < 0.6
     assert all(FaceCuts().of(face, index) is None for index in range(20))
+    assert all(FaceCuts(1.0, 0.0, 10**4).of(face, index) is None for index in range(20))
     lost = []
     for index in range(40):
         whole, torn = (FaceCuts(1.0, share).of(face, index) for share in (0.0, 0.2))

@@ -48,7 +48,8 @@ class StmTask:
         self.batch_size = config.loop.batch_size
         self.device = device
         self.model = Stm(StmOptions.from_dict(config.model)).to(device)
-        cuts = FaceCuts(self.options.crops, self.options.missing_faces)
+        least = self.model.options.k_eig
+        cuts = FaceCuts(self.options.crops, self.options.missing_faces, least)
         self.meshes = self._prepare(
             "train", self.options.num_meshes, self.options.max_vertices, cuts
         )

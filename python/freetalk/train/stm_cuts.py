@@ -24,10 +24,12 @@ class FaceCuts:
     Attributes:
         crops: share of the faces that are cropped at random around eyes, nose and mouth.
         missing_faces: largest share of a cropped face's triangles that is taken away one by one.
+        least_vertices: a face of which fewer would be left stays whole: an eigenbasis needs them.
     """
 
     crops: float = 0.0
     missing_faces: float = 0.0
+    least_vertices: int = 3
 
     def of(
         self, mesh: FaceMesh, index: int
@@ -36,7 +38,7 @@ class FaceCuts:
 
         Returns:
             Kept vertices (V',) in ascending order and faces (F', 3) of them; None where the face
-            stays whole: it is not among those cropped, or its lips are unknown.
+            stays whole: it is not among those cropped, its lips are unknown, or it is too small.
         """
         rng = np.random.default_rng([_SEED, index])
         if rng.random() >= self.crops or not mesh.lip_mask.any():
@@ -45,7 +47,7 @@ class FaceCuts:
         missing = rng.uniform(0.0, self.missing_faces)
         faces = faces[rng.random(len(faces)) >= missing]
         kept, corners = np.unique(faces, return_inverse=True)
-        return kept, corners.reshape(-1, 3)
+        return (kept, corners.reshape(-1, 3)) if len(kept) >= self.least_vertices else None
 
 
 def _inside(mesh: FaceMesh, rng: np.random.Generator) -> npt.NDArray[np.bool_]:
