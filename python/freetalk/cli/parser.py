@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import math
 from typing import Any, NoReturn
 
+from freetalk.cli.numbers import intensity, natural, positive, seed
 from freetalk.cli.sampling import add_sampling
 
 UNITS = ("auto", "m", "cm", "mm", "in")
@@ -64,42 +64,6 @@ class _Version(argparse.Action):
 
         print(f"freetalk {freetalk.__version__}")
         parser.exit()
-
-
-def positive(text: str) -> float:
-    """A finite number above 0."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value > 0):
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number above 0")
-    return value
-
-
-def intensity(text: str) -> float:
-    """A number from 1 to 3."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 1 <= value <= 3:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number from 1 (slight) to 3 (strong)")
-    return value
-
-
-def natural(text: str) -> int:
-    """A whole number above 0."""
-    if not text.isdecimal() or int(text) == 0:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number above 0")
-    return int(text)
-
-
-def seed(text: str) -> int:
-    """A whole number from 0 to 2^63 - 1."""
-    if not text.isdecimal() or int(text) >= 2**63:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 0 to 2^63 - 1")
-    return int(text)
 
 
 def picture_size(text: str) -> tuple[int, int]:
@@ -164,7 +128,7 @@ def _add_animate(commands: Any) -> None:
     parser.add_argument("--intensity", type=intensity, default=2.0, help="1 (slight) to 3 (strong)")
     parser.add_argument("--fps", type=positive, default=30.0, help="frames per second")
     parser.add_argument("--seed", type=seed, default=0, help="another seed, another performance")
-    add_sampling(parser, natural)
+    add_sampling(parser)
     _add_pose(parser)
     _add_pretrained(parser)
     parser.add_argument(

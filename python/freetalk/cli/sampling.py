@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable
+
+from freetalk.cli.numbers import natural, temperature
 
 _GUIDANCE = {"audio": "audio_guidance", "emotion": "affect_guidance"}
 
@@ -29,25 +30,14 @@ def guidance(text: str) -> dict[str, float]:
     return found
 
 
-def temperature(text: str) -> float:
-    """A number from 0 to 1."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 <= value <= 1:
-        raise argparse.ArgumentTypeError(f"'{text}' is no temperature: give a number from 0 to 1")
-    return value
-
-
-def add_sampling(parser: argparse.ArgumentParser, count: Callable[[str], int]) -> None:
-    """Adds the options; ``count`` reads a whole number above 0."""
+def add_sampling(parser: argparse.ArgumentParser) -> None:
+    """Adds the options."""
     absent = argparse.SUPPRESS  # the weights say
     samplers = ("ddim", "ddpm", "dpmpp")
     sampler_help = "dpmpp (DPM-Solver++) needs 10 to 20 steps; by default that of the weights"
     parser.add_argument("--sampler", choices=samplers, default=absent, help=sampler_help)
     steps_help = "denoising steps; fewer are faster; by default those of the weights, 20 of dpmpp"
-    parser.add_argument("--steps", type=count, default=absent, metavar="N", help=steps_help)
+    parser.add_argument("--steps", type=natural, default=absent, metavar="N", help=steps_help)
     guidance_help = (
         "how much more than usual the face follows speech and emotion: a weight for both, or "
         "'audio=1.5,emotion=2'; 1 is off, and faster"

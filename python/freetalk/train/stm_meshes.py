@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -102,23 +102,30 @@ def prepare_mesh(
     """
     device = device or torch.device("cpu")
     mesh = corpus.mesh(identity, topology)
+    kept = None
     left = cuts.of(mesh, index) if cuts is not None else None
-    kept, faces = left if left is not None else (None, mesh.faces)
-    vertices = mesh.vertices if kept is None else mesh.vertices[kept]
-    lip_mask = mesh.lip_mask if kept is None else mesh.lip_mask[kept]
+    if left is not None:
+        kept, faces = left
+        mesh = replace(
+            mesh,
+            vertices=mesh.vertices[kept],
+            faces=faces,
+            lip_mask=mesh.lip_mask[kept],
+            upper_face_mask=mesh.upper_face_mask[kept],
+        )
     operators: Any = surface_operators(
-        vertices.astype(np.float64) / length_scale,
-        faces,
-        k=min(k_eig, len(vertices)),
+        mesh.vertices.astype(np.float64) / length_scale,
+        mesh.faces,
+        k=min(k_eig, len(mesh.vertices)),
         cache=cache_dir or True,
         name=mesh.name,
     )
     return PreparedMesh(
         identity=identity,
         topology=topology,
-        positions=torch.from_numpy(vertices).to(device),
+        positions=torch.from_numpy(mesh.vertices).to(device),
         operators=operators.to(dtype=torch.float32, device=str(device)),
-        lip_mask=torch.from_numpy(lip_mask).to(device),
+        lip_mask=torch.from_numpy(mesh.lip_mask).to(device),
         dataset=mesh.dataset,
         kept=kept,
     )
