@@ -14,6 +14,7 @@ import soundfile as sf
 from freetalk.corpus import assets, build_corpus, curves, emotion, plan, rest, running
 from freetalk.corpus.lips import LIMIT_M, Lips
 from freetalk.corpus.phones import BILABIALS, LABIODENTALS
+from freetalk.corpus.stretch import stretched
 
 MODEL = assets.load_face_model()
 LIPS = Lips(MODEL)
@@ -130,7 +131,7 @@ def test_running_speech_opens_the_mouth_where_its_parts_did() -> None:
         (p, take.audio[round(p.start * per_frame) : round(p.stop * per_frame)], clock[p.start : p.stop])
         for p in parts
     ]  # fmt: skip
-    audio, motion = running.joined(given, rng, per_frame)
+    audio, motion = running.joined(given, rng, per_frame, 16000)
     assert len(motion) >= 300 and abs(len(audio) - len(motion) * per_frame) < len(parts) + 1
     at = 0
     for part in parts:  # away from the joints a part is played from its first frame to its last
@@ -141,6 +142,31 @@ def test_running_speech_opens_the_mouth_where_its_parts_did() -> None:
         elif not part.take:
             assert (inside == 0).all()
         at += part.num_frames - 2
+
+
+@pytest.mark.parametrize("speed", [0.8, 1.0, 1.3, 1.5])
+def test_stretched_speech_keeps_its_pitch_and_moves_its_events(speed: float) -> None:
+    rate = 16000
+    time = np.arange(3 * rate) / rate
+    loud = (np.abs(time - 1.0) < 0.1) | (np.abs(time - 2.2) < 0.1)
+    voice = np.where(loud, 1.0, 0.05) * sum(
+        np.sin(2 * np.pi * 180 * k * time) / k for k in (1, 2, 3)
+    )
+    result = stretched(voice.astype(np.float32), speed, rate)
+    assert len(result) == round(len(voice) / speed)
+    spectrum = np.abs(np.fft.rfft(result * np.hanning(len(result))))
+    assert np.argmax(spectrum) * rate / len(result) == pytest.approx(180, abs=1)
+    level = np.convolve(np.abs(result), np.full(800, 1 / 800), mode="same")
+    for event in (1.0, 2.2):
+        near = np.abs(np.arange(len(level)) / rate - event / speed) < 0.3
+        times = np.flatnonzero(near & (level > 0.5 * level.max())) / rate
+        assert times.mean() == pytest.approx(event / speed, abs=0.015)
+        assert np.ptp(times) == pytest.approx(0.2 / speed, abs=0.03)
+
+
+@pytest.mark.parametrize("length", [0, 1, 300, 700])
+def test_the_shortest_sounds_are_stretched_too(length: int) -> None:
+    assert len(stretched(np.ones(length, np.float32), 1.4, 16000)) == round(length / 1.4)
 
 
 def test_identities_and_topologies_have_their_splits(manifest: dict[str, Any]) -> None:

@@ -23,7 +23,7 @@ from freetalk.corpus.sequences import FPS, SAMPLE_RATE_HZ, Job, Made, Maker, voi
 
 FORMAT = "freetalk-open-corpus"
 VERSION = 1
-CONTENTS = 2  # rises when the same size and seed give other sequences
+CONTENTS = 3  # rises when the same size and seed give other sequences
 CHUNK = 12
 CHUNK_TIMEOUT_S = 900
 PROCESSES = 2

@@ -1,8 +1,8 @@
 """Running speech made of the captured syllables and words.
 
 The takes that a model may learn from hold separate syllables and words with long pauses, so that a model learns their
-rhythm: the mouth closes after every word. Here the voiced parts alone are joined, at other speeds and levels and
-seldom with a pause, sound and motion alike; what is learnt on them carries over to sentences.
+rhythm: the mouth closes after every word. Here the voiced parts alone are joined, at other speeds (the voice keeps its
+pitch) and levels and seldom with a pause, sound and motion alike; what is learnt on them carries over to sentences.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from freetalk.corpus.assets import Array, Take
+from freetalk.corpus.stretch import stretched
 
 _VOICED_DB = 25.0  # below the loudest frame of its surroundings
 _SHORTEST = 4  # frames of a voiced part
@@ -80,6 +81,7 @@ def joined(
     parts: list[tuple[Part, Array, Array]],
     rng: np.random.Generator,
     samples_per_frame: float,
+    rate_hz: int,
 ) -> tuple[Array, Array]:
     """Sound (S,) and weights (T, E) of parts, each given with the sound and weights of its frames."""
     sounds, motions = [], []
@@ -87,7 +89,7 @@ def joined(
         frames = part.num_frames
         samples = round(frames * samples_per_frame)
         if part.take:
-            sounds.append(part.gain * _resampled(sound[:, None], samples)[:, 0])
+            sounds.append(part.gain * stretched(sound, len(sound) / samples, rate_hz))
             motions.append(_resampled(weights, frames))
         else:
             sounds.append(_ROOM_LEVEL * rng.standard_normal(samples))

@@ -203,7 +203,7 @@ class Maker:
             take, weights = self._take(part.take or job.parts[0].take)
             first, last = (round(f * SAMPLES_PER_FRAME) for f in (part.start, part.stop))
             parts.append((part, take.audio[first:last], weights[part.start : part.stop]))
-        audio, weights = running.joined(parts, rng, SAMPLES_PER_FRAME)
+        audio, weights = running.joined(parts, rng, SAMPLES_PER_FRAME, SAMPLE_RATE_HZ)
         self._write(job, recorded(fit_audio(audio, job.num_frames), rng))
         return Made(job, self._finish(job, weights[: job.num_frames], rng))
 

@@ -262,13 +262,11 @@ class AtsTask:
             audio, motion = self.mosaics.window(sequence, length, piece, rng)
         else:
             audio, motion = piece(sequence, length)
-        for amount, shape in (
-            (self.options.feature_noise, audio.shape),
-            (self.options.feature_shift, audio.shape[-1:]),
-        ):
-            if altered and amount > 0:
-                noise = rng.standard_normal(shape).astype(np.float32)
-                audio = audio + amount * self.features.spread * noise
+        if altered:
+            o = self.options
+            audio = self.features.altered(
+                audio, o.feature_noise, o.feature_shift, o.feature_dropout, rng
+            )
         return {
             "audio": audio,
             "motion": motion.reshape(len(motion), -1),

@@ -105,6 +105,8 @@ class AtsTaskOptions:
             deviation.
         feature_shift: noise that is the same in all frames of a window, likewise: what a speaker
             or a room adds to the features.
+        feature_dropout: share of the features, each channel and frame for itself, that are replaced
+            by their mean over the corpus.
         audio_dropout: share of the windows that hear nothing, for guidance; 0 is the paper.
         affect_dropout: share of the windows without emotion and intensity, for guidance; 0 is the
             paper.
@@ -131,6 +133,7 @@ class AtsTaskOptions:
     feature_augmentations: int = 0
     feature_noise: float = 0.0
     feature_shift: float = 0.0
+    feature_dropout: float = 0.0
     audio_dropout: float = 0.0
     affect_dropout: float = 0.0
     mosaic: float = 0.0
@@ -146,6 +149,11 @@ class AtsTaskOptions:
 
     def check(self) -> None:
         """Raises ValueError where a value is out of range."""
+        _require(
+            0 <= self.feature_dropout < 1,
+            "task.feature_dropout must be in [0, 1)",
+            self.feature_dropout,
+        )
         _require(0 <= self.mosaic <= 1, "task.mosaic must be in [0, 1]", self.mosaic)
         _require(0 <= self.blend <= 1, "task.blend must be in [0, 1]", self.blend)
         _require(

@@ -64,6 +64,7 @@ class FeatureCache:
         shape = (int(index["rows"]), int(index["width"]))
         self._array = np.memmap(path / "features.f16", dtype=np.float16, mode="r", shape=shape)
         self.width = shape[1]
+        self.mean = np.array(index["mean"], dtype=np.float32)  # (C,)
         self.spread = np.array(index["spread"], dtype=np.float32)  # (C,)
 
     def copies(self, sequence: MotionSequence) -> list[FeatureCopy]:
@@ -75,6 +76,34 @@ class FeatureCache:
         stop = min(stop, copy.num_frames)
         return np.array(self._array[copy.start + start : copy.start + stop], dtype=np.float32)
 
+    def altered(
+        self,
+        features: npt.NDArray[np.float32],
+        noise: float,
+        shift: float,
+        dropout: float,
+        rng: np.random.Generator,
+    ) -> npt.NDArray[np.float32]:
+        """Features (T, C) as other voices and rooms might give them.
+
+        Args:
+            features: (T, C) of a window.
+            noise: standard deviation of what is added to each value, in units of the channel's.
+            shift: the same of what is added to a channel in all frames.
+            dropout: share of the values that become the channel's mean; the others' distance to it
+                grows by 1 / (1 - dropout), as in a layer of dropout.
+            rng: draws.
+        """
+        for amount, shape in ((noise, features.shape), (shift, features.shape[-1:])):
+            if amount > 0:
+                drawn = rng.standard_normal(shape, dtype=np.float32)
+                features = features + np.float32(amount) * self.spread * drawn
+        if dropout > 0:
+            kept = rng.random(features.shape, dtype=np.float32) >= dropout
+            distance = (features - self.mean) * kept / np.float32(1 - dropout)
+            features = self.mean + distance
+        return features
+
 
 def _key(
     corpus: MotionDataset,
@@ -82,7 +111,7 @@ def _key(
     encoder_dir: Path,
     augmentations: int,
 ) -> str:
-    digest = hashlib.sha256(f"3 {augmentations} {corpus.fingerprint}".encode())
+    digest = hashlib.sha256(f"4 {augmentations} {corpus.fingerprint}".encode())
     for name in ("config.json", "model.safetensors"):
         file = encoder_dir / name
         if not file.is_file():
@@ -127,7 +156,13 @@ def _compute(
     mean, square = sums / max(total, 1)
     spread = np.sqrt(np.maximum(square - np.square(mean), 0))
     temporary.replace(path / "features.f16")
-    index = {"copies": copies, "rows": total, "width": width, "spread": spread.tolist()}
+    index = {
+        "copies": copies,
+        "rows": total,
+        "width": width,
+        "mean": mean.tolist(),
+        "spread": spread.tolist(),
+    }
     write_json(path / "index.json", index)
 
 
