@@ -1,11 +1,18 @@
 #include "freetalk/ats/ats.h"
 
-#include <torch/nn/init.h>
+#include <torch/utils.h>
 
 #include "freetalk/core/error.h"
 #include "freetalk/nn/embedding.h"
+#include "freetalk/nn/local_start.h"
 
 namespace freetalk::ats {
+
+namespace {
+
+constexpr int64_t kLocalRadius = 3;  // frames; of the first attention where no band is set
+
+}  // namespace
 
 void AtsOptions::check() const {
   nn::TransformerLayerOptions{d_model, num_heads, ff_dim, dropout, norm_first, activation}.check();
@@ -15,6 +22,8 @@ void AtsOptions::check() const {
   FREETALK_CHECK(max_frames > 1, "max_frames must be at least 2, found ", max_frames);
   FREETALK_CHECK(band_radius >= -1, "band_radius must be >= 0, or -1 for no band, found ",
                  band_radius);
+  FREETALK_CHECK(attention_start == "local" || attention_start == "random",
+                 "attention_start must be local or random, found ", attention_start);
   FREETALK_CHECK(num_intensities > 0, "num_intensities must be positive, found ", num_intensities);
   FREETALK_CHECK(fps > 0, "fps must be positive, found ", fps);
   FREETALK_CHECK(!emotions.empty(), "emotions must name at least one emotion");
@@ -52,11 +61,23 @@ AtsImpl::AtsImpl(const AtsOptions& options) : options_(options) {
                                                      options.activation});
     layer_list->push_back(layers_.back());
   }
+  if (options.attention_start == "local") start_locally();
   if (options.norm_first) {
     norm_ = register_module("norm", torch::nn::LayerNorm(torch::nn::LayerNormOptions({d})));
   }
   motion_mean_ = register_buffer("motion_mean", torch::zeros({kMotionDim}));
   motion_scale_ = register_buffer("motion_scale", torch::ones({kMotionDim}));
+}
+
+void AtsImpl::start_locally() {
+  const torch::NoGradGuard no_grad;
+  const at::Tensor code =
+      nn::local_position_code(options_.max_frames, options_.d_model, options_.num_heads);
+  target_positions_.add_(code);
+  memory_positions_.add_(code);
+  const int64_t radius = options_.band_radius < 0 ? kLocalRadius : options_.band_radius;
+  for (nn::TransformerDecoderLayer& layer : layers_)
+    nn::start_locally(layer->cross_attention(), static_cast<double>(radius));
 }
 
 void AtsImpl::check_inputs(const at::Tensor& x, const at::Tensor& timestep,

@@ -38,6 +38,9 @@ struct AtsOptions {
   int64_t audio_dim = 768;          // C, channels of the speech features
   int64_t max_frames = 600;  // learned positions; longer motion is generated in overlapping windows
   int64_t band_radius = 3;   // r of Eq. 9, frames; unstated in the paper; -1: no band
+  /// First weights of positions and cross-attention, unstated in the paper: "local" (each head at
+  /// frames near its own, see nn/local_start.h) or "random".
+  std::string attention_start = "local";
   int64_t num_intensities = 3;  // learned levels 1 .. num_intensities
   double fps = 30.0;            // frames per second of the motion
   std::vector<std::string> emotions = {"neutral", "afraid", "ashamed",  "angry",   "disgust",
@@ -59,6 +62,7 @@ struct AtsOptions {
     v("audio_dim", audio_dim);
     v("max_frames", max_frames);
     v("band_radius", band_radius);
+    v("attention_start", attention_start);
     v("num_intensities", num_intensities);
     v("fps", fps);
     v("emotions", emotions);
@@ -104,6 +108,7 @@ class AtsImpl : public torch::nn::Module {
 
  private:
   friend class AtsInference;  // computes once what does not depend on the step
+  void start_locally();
   void check_inputs(const at::Tensor& x, const at::Tensor& timestep,
                     const Condition& condition) const;
   at::Tensor time_code(const at::Tensor& timestep);

@@ -30,6 +30,8 @@ class MultiheadAttentionImpl : public torch::nn::Module {
   ///   where attention may go; undefined: everywhere.
   at::Tensor forward(const at::Tensor& query, const at::Tensor& memory, const at::Tensor& allowed);
 
+  int64_t num_heads() const { return num_heads_; }
+
   at::Tensor in_proj_weight, in_proj_bias;  // (3d, d), (3d,): q, k, v
   torch::nn::Linear out_proj{nullptr};
 
@@ -49,6 +51,8 @@ class TransformerDecoderLayerImpl : public torch::nn::Module {
   /// MultiheadAttention.
   at::Tensor forward(const at::Tensor& x, const at::Tensor& memory, const at::Tensor& self_allowed,
                      const at::Tensor& cross_allowed);
+
+  MultiheadAttention& cross_attention() { return multihead_attn_; }
 
  private:
   friend class DecoderLayerInference;  // reads the weights once and packs them

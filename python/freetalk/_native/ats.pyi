@@ -20,6 +20,7 @@ class AtsOptions:
 
     __hash__: typing.ClassVar[None] = None
     activation: typing.Any
+    attention_start: typing.Any
     audio_dim: typing.Any
     band_radius: typing.Any
     beta_end: typing.Any

@@ -106,7 +106,7 @@ class AtsTask:
             **window,
             "drop_audio": rng.random() < self.options.audio_dropout,
             "drop_affect": rng.random() < self.options.affect_dropout,
-            "step": int(rng.integers(self.model_options.num_train_steps)),
+            "step": self._diffusion_step(rng),
             "noise": rng.standard_normal(window["motion"].shape, dtype=np.float32),
         }
 
@@ -121,7 +121,7 @@ class AtsTask:
         return {**batch, "noise": noise, "counts": motion_counts(batch["valid"])}
 
     def loss(self, batch: dict[str, Any], generator: torch.Generator) -> dict[str, Tensor]:
-        """Eq. 15 at a uniformly drawn diffusion step of each window."""
+        """Eq. 15 at the diffusion step drawn for each window."""
         return self._terms(batch, batch["step"], batch["noise"])
 
     def validate(self) -> dict[str, float]:
@@ -273,6 +273,10 @@ class AtsTask:
             "emotion": np.eye(len(self.corpus.emotions), dtype=np.float32)[sequence.emotion],
             "intensity": sequence.intensity,
         }
+
+    def _diffusion_step(self, rng: np.random.Generator) -> int:
+        steps = self.model_options.num_train_steps
+        return min(int(steps * rng.random() ** (1 / self.options.step_power)), steps - 1)
 
     def _stack(self, items: list[dict[str, Any]]) -> dict[str, Any]:
         longest = max(len(item["motion"]) for item in items)

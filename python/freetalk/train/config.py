@@ -107,6 +107,8 @@ class AtsTaskOptions:
             or a room adds to the features.
         feature_dropout: share of the features, each channel and frame for itself, that are replaced
             by their mean over the corpus.
+        step_power: diffusion steps t of N are drawn with a density of t^(step_power - 1): more than 1
+            dwells on noisy motion, where the sound alone must tell the answer; 1 is the paper.
         audio_dropout: share of the windows that hear nothing, for guidance; 0 is the paper.
         affect_dropout: share of the windows without emotion and intensity, for guidance; 0 is the
             paper.
@@ -134,6 +136,7 @@ class AtsTaskOptions:
     feature_noise: float = 0.0
     feature_shift: float = 0.0
     feature_dropout: float = 0.0
+    step_power: float = 1.0
     audio_dropout: float = 0.0
     affect_dropout: float = 0.0
     mosaic: float = 0.0
@@ -154,6 +157,7 @@ class AtsTaskOptions:
             "task.feature_dropout must be in [0, 1)",
             self.feature_dropout,
         )
+        _require(self.step_power > 0, "task.step_power must be positive", self.step_power)
         _require(0 <= self.mosaic <= 1, "task.mosaic must be in [0, 1]", self.mosaic)
         _require(0 <= self.blend <= 1, "task.blend must be in [0, 1]", self.blend)
         _require(

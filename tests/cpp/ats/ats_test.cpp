@@ -32,6 +32,35 @@ at::Tensor random_motion(int64_t batch, int64_t frames) {
   return torch::randn({batch, frames, kMotionDim}, core::make_generator(2));
 }
 
+// What frame 20 of the estimate owes to each frame of the speech, before any training.
+TEST(Ats, StartsWithTheSpeechOfItsOwnFrame) {
+  torch::manual_seed(0);
+  AtsOptions options = small_options();
+  options.d_model = 64;
+  options.max_frames = 40;
+  options.norm_first = true;
+  const auto influence = [&](const std::string& start, int64_t band_radius) {
+    options.attention_start = start;
+    options.band_radius = band_radius;
+    Ats model(options);
+    model->eval();
+    Condition condition = condition_for(1, 40);
+    condition.audio.requires_grad_(true);
+    const at::Tensor guess = model(random_motion(1, 40), torch::tensor({999}), condition);
+    guess.select(1, 20).square().sum().backward();
+    return condition.audio.grad().norm(2, {2}).squeeze(0);
+  };
+  const auto share_nearby = [](const at::Tensor& amount) {
+    return (amount.narrow(0, 18, 5).sum() / amount.sum()).item<double>();
+  };
+  EXPECT_GT(share_nearby(influence("local", -1)), 0.5);
+  EXPECT_LT(share_nearby(influence("random", -1)), 0.3);
+  const at::Tensor banded = influence("local", 3);
+  EXPECT_GT((banded[20] / banded[17]).item<double>(), 3.0);
+  options.attention_start = "global";
+  EXPECT_THROW(Ats{options}, std::invalid_argument);
+}
+
 TEST(Ats, PaddingDoesNotReachValidFrames) {
   torch::manual_seed(0);
   Ats model(small_options());

@@ -7,6 +7,7 @@
 #include "freetalk/nn/diffusion_net.h"
 #include "freetalk/nn/embedding.h"
 #include "freetalk/nn/landmark_graph.h"
+#include "freetalk/nn/local_start.h"
 #include "freetalk/nn/sparse.h"
 #include "freetalk/nn/transformer.h"
 
@@ -83,6 +84,35 @@ TEST(BandMask, AllowsOnlyTheBand) {
   const at::Tensor mask = band_mask(5, 1, c10::kCPU);
   for (int i = 0; i < 5; ++i) {
     for (int j = 0; j < 5; ++j) EXPECT_EQ(mask[i][j].item<bool>(), std::abs(i - j) <= 1);
+  }
+}
+
+// Each head's mean distance and the share of its weight within two frames of it, over a middle
+// frame.
+TEST(MultiheadAttention, StartsAtDistancesSpacedOverTheBand) {
+  constexpr int64_t kFrames = 61, kWidth = 64, kHeads = 4;
+  torch::manual_seed(0);
+  MultiheadAttention attention(kWidth, kHeads, 0.0);
+  start_locally(attention, 3.0);
+  const at::Tensor code = local_position_code(kFrames, kWidth, kHeads);
+  const auto heads = [&](int64_t part) {
+    const at::Tensor rows = attention->in_proj_weight.narrow(0, part * kWidth, kWidth);
+    return code.matmul(rows.t()).view({kFrames, kHeads, -1}).transpose(0, 1);  // (heads, T, d_head)
+  };
+  const at::Tensor logits = heads(0).matmul(heads(1).transpose(1, 2)) / std::sqrt(kWidth / kHeads);
+  const at::Tensor outside = band_mask(kFrames, 3, at::kCPU).logical_not();
+  const at::Tensor weights =
+      at::softmax(logits.masked_fill(outside, -INFINITY), 2).select(1, kFrames / 2);  // (heads, T)
+  const at::Tensor distance = at::arange(kFrames) - kFrames / 2;
+  double before = -INFINITY;
+  for (int64_t head = 0; head < kHeads; ++head) {
+    const double wanted = 1.5 * ((2.0 * static_cast<double>(head) + 1) / kHeads - 1);
+    const at::Tensor near = (distance - wanted).abs() <= 1.5;
+    EXPECT_GT(weights[head].masked_select(near).sum().item<double>(), 0.8) << "head " << head;
+    const double mean = (weights[head] * distance).sum().item<double>();
+    EXPECT_NEAR(mean, wanted, 0.4);
+    EXPECT_GT(mean, before + 0.3);  // one after the other
+    before = mean;
   }
 }
 
