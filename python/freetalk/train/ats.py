@@ -14,7 +14,13 @@ from tqdm import tqdm
 from freetalk._pretrained import PRETRAINED
 from freetalk.ats import Ats, AtsOptions, GenerateOptions, generate
 from freetalk.data import NUM_LANDMARKS, MotionDataset, MotionSequence, interpolate_frames
-from freetalk.data.landmarks import INNER_LIP_PAIRS, LIPS, LOWER_INNER_LIP, UPPER_INNER_LIP
+from freetalk.data.landmarks import (
+    INNER_LIP_PAIRS,
+    LIPS,
+    LOWER_INNER_LIP,
+    UPPER_FACE,
+    UPPER_INNER_LIP,
+)
 from freetalk.diffusion import Schedule, ScheduleOptions
 from freetalk.train.checkpoint import export_model
 from freetalk.train.config import AtsTaskOptions, TrainingConfig
@@ -86,6 +92,9 @@ class AtsTask:
             )
         )
         self.point_weights = self._landmark_weights()
+        coordinates = torch.ones(NUM_LANDMARKS, 3, dtype=torch.bool, device=device)
+        coordinates[list(UPPER_FACE)] = False
+        self.mouth = coordinates.flatten()  # (204,) mouth, nose and jaw
 
     @property
     def mean(self) -> Tensor:
@@ -106,6 +115,7 @@ class AtsTask:
             **window,
             "drop_audio": rng.random() < self.options.audio_dropout,
             "drop_affect": rng.random() < self.options.affect_dropout,
+            "rehearsed": rng.random() < self.options.rehearsal,
             "step": self._diffusion_step(rng),
             "noise": rng.standard_normal(window["motion"].shape, dtype=np.float32),
         }
@@ -116,7 +126,7 @@ class AtsTask:
         noise = torch.zeros_like(batch["motion"])
         for row, item in enumerate(items):
             noise[row, : len(item["noise"])] = torch.from_numpy(item["noise"])
-        for name in ("drop_audio", "drop_affect", "step"):
+        for name in ("drop_audio", "drop_affect", "rehearsed", "step"):
             batch[name] = torch.tensor([item[name] for item in items])
         return {**batch, "noise": noise, "counts": motion_counts(batch["valid"])}
 
@@ -232,7 +242,18 @@ class AtsTask:
         return terms
 
     def _denoise(self, batch: dict[str, Any], step: Tensor, noise: Tensor) -> Tensor:
-        noisy = self.schedule.q_sample(self._normalised(batch), step, noise=noise)
+        clean = self._normalised(batch)
+        rehearsed: Tensor | None = batch.get("rehearsed")
+        if rehearsed is not None and bool(rehearsed.any()):
+            rows = rehearsed.nonzero()[:, 0]
+            some = {name: value[rows] for name, value in batch.items() if name != "counts"}
+            with torch.no_grad():
+                last = torch.full_like(step[rows], self.model_options.num_train_steps - 1)
+                own = self._estimate(some, last, noise[rows]) * some["valid"][..., None]
+            clean[rows] = torch.where(self.mouth, own, clean[rows])
+        return self._estimate(batch, step, self.schedule.q_sample(clean, step, noise=noise))
+
+    def _estimate(self, batch: dict[str, Any], step: Tensor, noisy: Tensor) -> Tensor:
         guess: Tensor = self.model(
             noisy,
             step,

@@ -109,6 +109,10 @@ class AtsTaskOptions:
             by their mean over the corpus.
         step_power: diffusion steps t of N are drawn with a density of t^(step_power - 1): more than 1
             dwells on noisy motion, where the sound alone must tell the answer; 1 is the paper.
+        rehearsal: share of the windows in which the noisy mouth, nose and jaw are made of the model's
+            own first estimate, as in sampling, instead of the true motion [as DREAM, Zhou et al.
+            2024]: sampling then does not enlarge what the first estimate got wrong. Brows and eyes
+            stay true, so that they go on varying; 0 is the paper.
         audio_dropout: share of the windows that hear nothing, for guidance; 0 is the paper.
         affect_dropout: share of the windows without emotion and intensity, for guidance; 0 is the
             paper.
@@ -137,6 +141,7 @@ class AtsTaskOptions:
     feature_shift: float = 0.0
     feature_dropout: float = 0.0
     step_power: float = 1.0
+    rehearsal: float = 0.0
     audio_dropout: float = 0.0
     affect_dropout: float = 0.0
     mosaic: float = 0.0
@@ -158,6 +163,7 @@ class AtsTaskOptions:
             self.feature_dropout,
         )
         _require(self.step_power > 0, "task.step_power must be positive", self.step_power)
+        _require(0 <= self.rehearsal <= 1, "task.rehearsal must be in [0, 1]", self.rehearsal)
         _require(0 <= self.mosaic <= 1, "task.mosaic must be in [0, 1]", self.mosaic)
         _require(0 <= self.blend <= 1, "task.blend must be in [0, 1]", self.blend)
         _require(

@@ -1,0 +1,73 @@
+"""What the denoiser is shown in training: which diffusion steps, and whose motion under the noise."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from mini_corpus import write_mini_corpus
+
+from freetalk.data import OpenCorpus
+from freetalk.data.landmarks import UPPER_FACE
+from freetalk.train.ats import AtsTask
+from freetalk.train.config import load_config
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory: pytest.TempPathFactory) -> OpenCorpus:
+    return OpenCorpus(write_mini_corpus(tmp_path_factory.mktemp("steps") / "corpus"))
+
+
+def make(corpus: OpenCorpus, out: Path, *overrides: str) -> AtsTask:
+    config = load_config("ats", CONFIGS / "ats_smoke.yaml", list(overrides))
+    return AtsTask(config, corpus, out, torch.device("cpu"))
+
+
+@pytest.mark.parametrize(("power", "mean"), [(1.0, 0.5), (3.0, 0.75)])
+def test_the_power_dwells_on_noisy_steps(
+    corpus: OpenCorpus, tmp_path: Path, power: float, mean: float
+) -> None:
+    task = make(corpus, tmp_path, f"task.step_power={power}")
+    rng = np.random.default_rng(0)
+    steps = np.array([task.item(rng)["step"] for _ in range(600)])
+    assert steps.min() >= 0 and steps.max() < 1000
+    assert steps.mean() / 1000 == pytest.approx(mean, abs=0.04)
+
+
+class Spy:
+    """A schedule that keeps what it was asked to add noise to."""
+
+    def __init__(self, schedule: Any) -> None:
+        self.schedule = schedule
+        self.clean: list[torch.Tensor] = []
+
+    def q_sample(self, clean: torch.Tensor, step: torch.Tensor, noise: torch.Tensor) -> Any:
+        self.clean.append(clean)
+        return self.schedule.q_sample(clean, step, noise=noise)
+
+
+@pytest.mark.parametrize("rehearsal", [0.0, 1.0])
+def test_a_rehearsed_mouth_is_the_models_own_estimate(
+    corpus: OpenCorpus, tmp_path: Path, rehearsal: float
+) -> None:
+    task = make(corpus, tmp_path, f"task.rehearsal={rehearsal}", "model.dropout=0")
+    rng = np.random.default_rng(1)
+    batch = task.collate([task.item(rng) for _ in range(3)])
+    spy = Spy(task.schedule)
+    task.schedule = spy  # type: ignore[assignment]
+    task.loss(batch, torch.Generator())["loss"].backward()
+    true = ((batch["motion"] - task.mean) / task.spread * batch["valid"][..., None]).unflatten(
+        -1, (68, 3)
+    )
+    shown = spy.clean[0].unflatten(-1, (68, 3))
+    same = torch.isclose(shown, true).all(dim=-1).all(dim=0).all(dim=0)  # (68,)
+    upper = torch.zeros(68, dtype=torch.bool)
+    upper[list(UPPER_FACE)] = True
+    torch.testing.assert_close(same, upper if rehearsal else torch.ones_like(upper))
+    assert not shown.requires_grad  # what was rehearsed is given, not learnt through
+    assert (shown[~batch["valid"]] == 0).all()
