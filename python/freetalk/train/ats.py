@@ -23,13 +23,14 @@ from freetalk.data.landmarks import (
 )
 from freetalk.diffusion import Schedule, ScheduleOptions
 from freetalk.train.checkpoint import export_model
-from freetalk.train.config import AtsTaskOptions, TrainingConfig
+from freetalk.train.config import TrainingConfig
 from freetalk.train.features import FeatureCache
 from freetalk.train.initial import initial_weights
 from freetalk.train.losses import closure_error, motion_counts, motion_loss
 from freetalk.train.mosaic import FloatArray, Mosaics, blended
 from freetalk.train.samples import MeanFace, Sample
 from freetalk.train.sampling import SequenceSampler, numpy_generator
+from freetalk.train.task_options import AtsTaskOptions
 
 _VALIDATION_SEED = 30
 #: Frames and denoising steps of a sample to look at.

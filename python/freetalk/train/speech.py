@@ -20,10 +20,11 @@ from freetalk.data import MotionSequence, OpenCorpus
 from freetalk.speech import SpeechEncoder, SpeechEncoderOptions, normalize_wave
 from freetalk.train.augment import augment_wave, change_speed
 from freetalk.train.checkpoint import export_model
-from freetalk.train.config import SpeechTaskOptions, TrainingConfig
+from freetalk.train.config import TrainingConfig
 from freetalk.train.sampling import SequenceSampler, numpy_generator
 from freetalk.train.speech_recordings import RECORDED, Recordings
 from freetalk.train.speech_targets import IGNORED_PHONE, SpeechTargets, log_mel
+from freetalk.train.task_options import SpeechTaskOptions
 
 _VALIDATION_SEED = 20
 

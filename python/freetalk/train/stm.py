@@ -12,7 +12,7 @@ from torch import Tensor
 from freetalk.data import MotionDataset
 from freetalk.stm import Stm, StmOptions
 from freetalk.train.checkpoint import export_model
-from freetalk.train.config import StmTaskOptions, TrainingConfig
+from freetalk.train.config import TrainingConfig
 from freetalk.train.losses import motion_loss
 from freetalk.train.samples import Sample
 from freetalk.train.stm_cuts import FaceCuts
@@ -23,6 +23,7 @@ from freetalk.train.stm_meshes import (
     random_placement,
 )
 from freetalk.train.stm_windows import FaceWindows
+from freetalk.train.task_options import StmTaskOptions
 
 _VALIDATION_SEED = 40
 _VALIDATION_MESHES = 4

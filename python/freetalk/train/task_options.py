@@ -1,0 +1,208 @@
+"""Options of the three trainings: what each draws from the data and which losses it weighs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+def require(condition: bool, message: str, found: object) -> None:
+    if not condition:
+        raise ValueError(f"{message}, got {found}")
+
+
+@dataclass
+class AtsTaskOptions:
+    """Data and losses of the audio-to-landmarks stage.
+
+    Attributes:
+        init: weights to start from: their folder, a training's output folder, or the name of
+            installed ones (``open-small``), whose motion statistics stay; empty starts from random
+            ones.
+        speech_encoder: folder of the speech encoder; empty takes ``OUT/speech``, else the one beside
+            the weights of `init`, else the shipped one.
+        feature_cache: folder of the computed speech features; empty takes ``OUT/cache``.
+        feature_augmentations: extra copies of the features from changed audio (noise, room,
+            band limits, speed).
+        feature_noise: noise added to the features of each frame, relative to their standard
+            deviation.
+        feature_shift: noise that is the same in all frames of a window, likewise: what a speaker
+            or a room adds to the features.
+        feature_dropout: share of the features, each channel and frame for itself, that are replaced
+            by their mean over the corpus.
+        step_power: diffusion steps t of N are drawn with a density of t^(step_power - 1): more than 1
+            dwells on noisy motion, where the sound alone must tell the answer; 1 is the paper.
+        rehearsal: share of the windows in which the noisy mouth, nose and jaw are made of the model's
+            own first estimate, as in sampling, instead of the true motion [as DREAM, Zhou et al.
+            2024]: sampling then does not enlarge what the first estimate got wrong. Brows and eyes
+            stay true, so that they go on varying; 0 is the paper.
+        audio_dropout: share of the windows that hear nothing, for guidance; 0 is the paper.
+        affect_dropout: share of the windows without emotion and intensity, for guidance; 0 is the
+            paper.
+        mosaic: share of the windows joined from pieces of several takes of one emotion, so that
+            each is judged by its own sound; 0 is the paper.
+        blend: share of the windows that are convex combinations of two, in features, motion, emotion
+            and intensity [mixup, Zhang et al. 2018]: between what was heard the answer is
+            linear, which carries over better to other ways of speaking; 0 is the paper.
+        source_weights: share of each source in the batches; others are left out. Empty takes all
+            in proportion to their length.
+        lambda_velocity: weight of Eq. 15's velocity term.
+        lambda_acceleration: weight of Eq. 15's acceleration term.
+        loss_units: ``normalised`` (each coordinate by its spread) or ``metres`` (the paper).
+        lip_weight: weight of the 20 lip landmarks; 1 weighs all alike (the paper).
+        opening_weight: weight of an extra term on the inner-lip gaps, 0 disables (the paper).
+        closure_weight: weight of an extra term on lips that should be closed for a moment, as in
+            p, b and m; 0 disables (the paper).
+        validation_windows: windows of the validation split that are scored.
+    """
+
+    init: str = ""
+    speech_encoder: str = ""
+    feature_cache: str = ""
+    feature_augmentations: int = 0
+    feature_noise: float = 0.0
+    feature_shift: float = 0.0
+    feature_dropout: float = 0.0
+    step_power: float = 1.0
+    rehearsal: float = 0.0
+    audio_dropout: float = 0.0
+    affect_dropout: float = 0.0
+    mosaic: float = 0.0
+    blend: float = 0.0
+    source_weights: dict[str, float] = field(default_factory=dict)
+    lambda_velocity: float = 0.3
+    lambda_acceleration: float = 0.1
+    loss_units: str = "metres"
+    lip_weight: float = 1.0
+    opening_weight: float = 0.0
+    closure_weight: float = 0.0
+    validation_windows: int = 32
+
+    def check(self) -> None:
+        """Raises ValueError where a value is out of range."""
+        require(
+            0 <= self.feature_dropout < 1,
+            "task.feature_dropout must be in [0, 1)",
+            self.feature_dropout,
+        )
+        require(self.step_power > 0, "task.step_power must be positive", self.step_power)
+        require(0 <= self.rehearsal <= 1, "task.rehearsal must be in [0, 1]", self.rehearsal)
+        require(0 <= self.mosaic <= 1, "task.mosaic must be in [0, 1]", self.mosaic)
+        require(0 <= self.blend <= 1, "task.blend must be in [0, 1]", self.blend)
+        require(
+            self.loss_units in ("metres", "normalised"),
+            "task.loss_units must be metres or normalised",
+            self.loss_units,
+        )
+        require(self.lip_weight > 0, "task.lip_weight must be positive", self.lip_weight)
+
+
+@dataclass
+class StmTaskOptions:
+    """Data and losses of the landmarks-to-mesh stage.
+
+    Attributes:
+        init: weights to start from: their folder, a training's output folder, or the name of
+            installed ones (``open-small``); empty starts from random ones.
+        operator_cache: folder of the surface operators; empty takes the user's cache.
+        frames: consecutive frames of a window.
+        num_meshes: (identity, topology) pairs of the train split that are drawn, 0 for all.
+        max_vertices: meshings with more vertices are left out of training, 0 for no limit.
+        crops: share of the faces drawn that are cropped at random around eyes, nose and mouth, so
+            that the network does not depend on where a mesh ends.
+        missing_faces: largest share of a cropped face's triangles that is taken away.
+        source_weights: share of each source in the batches; ``random`` is drawn combinations of
+            expressions. Empty takes all sources in proportion to their length.
+        rotation_deg: misalignment of the mesh: largest rotation.
+        translation_m: misalignment of the mesh: largest shift along an axis.
+        scale_range: misalignment of the mesh: largest relative change of size.
+        landmark_noise_m: standard deviation of noise on the landmark displacements.
+        lambda_velocity: weight of Eq. 15's velocity term.
+        lambda_acceleration: weight of Eq. 15's acceleration term.
+        lip_weight: weight of vertices of the lips; 1 weighs all alike (the paper).
+        relative: divide each window's loss by the target's own mean square (with a floor), so that
+            small motions count as much as large ones; the paper does not.
+        error_weight: weight of an extra term, the mean vertex error relative to the mean motion: it
+            counts the many vertices that move little, which squares pass over; 0 disables (the
+            paper).
+        validation_windows: windows on unseen meshes that are scored.
+    """
+
+    init: str = ""
+    operator_cache: str = ""
+    frames: int = 12
+    num_meshes: int = 0
+    max_vertices: int = 0
+    crops: float = 0.0
+    missing_faces: float = 0.0
+    source_weights: dict[str, float] = field(default_factory=dict)
+    rotation_deg: float = 0.0
+    translation_m: float = 0.0
+    scale_range: float = 0.0
+    landmark_noise_m: float = 0.0
+    lambda_velocity: float = 0.5
+    lambda_acceleration: float = 0.2
+    lip_weight: float = 1.0
+    relative: bool = False
+    error_weight: float = 0.0
+    validation_windows: int = 8
+
+    def check(self) -> None:
+        """Raises ValueError where a value is out of range."""
+        require(self.frames >= 3, "task.frames must be at least 3", self.frames)
+        require(0 <= self.scale_range < 1, "task.scale_range must be in [0, 1)", self.scale_range)
+        require(0 <= self.crops <= 1, "task.crops must be in [0, 1]", self.crops)
+        require(
+            0 <= self.missing_faces < 1,
+            "task.missing_faces must be in [0, 1)",
+            self.missing_faces,
+        )
+        require(self.lip_weight > 0, "task.lip_weight must be positive", self.lip_weight)
+
+
+@dataclass
+class SpeechTaskOptions:
+    """Data and losses of the speech encoder.
+
+    Attributes:
+        init: weights to start from: their folder, a training's output folder, or the name of
+            installed ones (``open-small``); the teachers' heads start from random ones. Empty
+            starts all from random ones.
+        crop_s: length of the crops.
+        pieces: a crop joins up to so many pieces of different takes, so that what is heard at one
+            moment is not judged by the rhythm of the whole take.
+        motion_sources: sources whose curves and opening are taught; empty takes all. One recorded
+            speaker is better left out: a few takes would be learnt by heart.
+        recordings: alignments of recorded speech that ``freetalk speech align`` wrote; they teach
+            phones alone and are the source ``recorded``.
+        source_weights: share of each source in the batches. Empty takes all sources in
+            proportion to their length.
+        augment: share of the crops whose audio is changed (level, noise, room, band limits).
+        speed_range: largest relative change of speed and pitch.
+        phone_weight: weight of the frame-wise phone class.
+        mel_weight: weight of the log-mel regression.
+        curve_weight: weight of the regression of expression curves.
+        opening_weight: weight of the regression of the inner-lip opening.
+        num_mels: log-mel bands.
+        validation_crops: crops of the validation split that are scored.
+    """
+
+    init: str = ""
+    crop_s: float = 5.0
+    pieces: int = 1
+    motion_sources: list[str] = field(default_factory=list)
+    recordings: list[str] = field(default_factory=list)
+    source_weights: dict[str, float] = field(default_factory=dict)
+    augment: float = 0.7
+    speed_range: float = 0.12
+    phone_weight: float = 1.0
+    mel_weight: float = 0.3
+    curve_weight: float = 1.0
+    opening_weight: float = 1.0
+    num_mels: int = 40
+    validation_crops: int = 48
+
+    def check(self) -> None:
+        """Raises ValueError where a value is out of range."""
+        require(self.crop_s >= 1.0, "task.crop_s must be at least 1", self.crop_s)
+        require(self.pieces >= 1, "task.pieces must be at least 1", self.pieces)
+        require(0 <= self.augment <= 1, "task.augment must be in [0, 1]", self.augment)
