@@ -87,8 +87,7 @@ TEST(BandMask, AllowsOnlyTheBand) {
   }
 }
 
-// Each head's mean distance and the share of its weight within two frames of it, over a middle
-// frame.
+// Over a middle frame: the share of each head's weight near its distance, and the mean distance.
 TEST(MultiheadAttention, StartsAtDistancesSpacedOverTheBand) {
   constexpr int64_t kFrames = 61, kWidth = 64, kHeads = 4;
   torch::manual_seed(0);
