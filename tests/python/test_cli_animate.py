@@ -253,3 +253,4 @@ def test_evaluate_passes_everything_on(
     assert main(["evaluate", *options, "--out", str(tmp_path / "scores.json")]) == 0
     assert seen[:4] == ["--corpus", str(tmp_path), "--pretrained", str(room / "weights")]
     assert seen[seen.index("--parts") + 1] == "ats" and seen[-2] == "--out"
+    assert "--steps" not in seen  # those of the weights

@@ -11,6 +11,7 @@ from mini_corpus import write_mini_corpus
 
 from freetalk.evaluate import NearestCentroid, closures, correlation, log_energy
 from freetalk.evaluate.open_corpus import main
+from freetalk.evaluate.pretrained import SpeechToMotion
 from freetalk.train import run
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -70,3 +71,6 @@ def test_all_scores_of_a_small_corpus(
     assert "relative_lip_error" in capsys.readouterr().out
     with pytest.raises(ValueError, match="no neutral test sequence of take 'other'"):
         main([*given.replace(take, "other").split(), "--parts", "ats"])
+    (tmp_path / "out" / "talker.json").write_text(json.dumps({"generate": {"num_steps": 7}}))
+    assert SpeechToMotion(tmp_path / "out").options.num_steps == 7  # as the weights want it
+    assert SpeechToMotion(tmp_path / "out", 3).options.num_steps == 3

@@ -323,8 +323,11 @@ def test_closure_error_counts_lips_that_close_for_a_moment() -> None:
     assert float(closure_error(guess, wanted, valid)) == 0  # open lips and long pauses do not count
     guess = wanted.clone()
     guess[0, 30] = 0.003
-    expected = 0.003**2 / 9 / float(wanted.square().mean())  # nine frames are closed near open ones
+    usual = float(wanted.square().mean().sqrt())
+    expected = (0.003 / usual - 0.09) ** 2 / 9  # nine frames are closed near open ones
     assert float(closure_error(guess, wanted, valid)) == pytest.approx(expected)
+    guess[0, 30] = 0.08 * usual
+    assert float(closure_error(guess, wanted, valid)) == 0  # closed enough
     valid[0, 30] = False
     assert float(closure_error(guess, wanted, valid)) == 0
     still = torch.zeros(1, 60)

@@ -41,7 +41,8 @@ def measure(arguments: argparse.Namespace) -> None:
 
     options = ["--corpus", arguments.data, "--pretrained", str(weights)]
     options += ["--parts", *arguments.parts, "--take", arguments.take]
-    options += ["--samples", str(arguments.samples), "--steps", str(arguments.steps)]
+    options += ["--samples", str(arguments.samples)]
+    options += [] if arguments.steps is None else ["--steps", str(arguments.steps)]
     options += ["--audio", *arguments.audio] if arguments.audio else []
     for file in arguments.out:
         options += ["--out", file]

@@ -189,7 +189,8 @@ def _add_evaluate(commands: Any) -> None:
         "--audio", nargs="+", default=[], metavar="FILE", help="more speech, without motion"
     )
     parser.add_argument("--samples", type=natural, default=5, help="performances of the take")
-    parser.add_argument("--steps", type=natural, default=50, help="denoising steps")
+    steps_help = "denoising steps; by default those of the weights"
+    parser.add_argument("--steps", type=natural, default=None, help=steps_help)
     out_help = "also write the scores; with --pred by ending: .json, .csv, .tex, .txt; repeatable"
     parser.add_argument("--out", action="append", default=[], metavar="FILE", help=out_help)
     from freetalk.cli.score_options import add_score_options

@@ -228,7 +228,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--take", default="1114_3_15", help="held-out take of recorded speech")
     parser.add_argument("--audio", type=Path, nargs="*", default=[], help="more recordings")
     parser.add_argument("--samples", type=int, default=5, help="samples of the take")
-    parser.add_argument("--steps", type=int, default=50, help="DDIM steps")
+    parser.add_argument("--steps", type=int, help="denoising steps; default: the weights'")
     parser.add_argument("--out", type=Path, help="JSON file to write")
     given = parser.parse_args(arguments)
     unknown = set(given.parts) - {"stm", "ats", "emotions"}

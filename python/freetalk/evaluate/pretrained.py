@@ -22,13 +22,16 @@ class SpeechToMotion:
 
     Args:
         directory: folder with ``speech`` and ``ats``.
-        num_steps: DDIM steps.
+        num_steps: denoising steps; by default those of the weights.
     """
 
-    def __init__(self, directory: str | Path, num_steps: int = 50) -> None:
+    def __init__(self, directory: str | Path, num_steps: int | None = None) -> None:
         self.encoder = SpeechEncoder.from_pretrained(Path(directory) / "speech").eval()
         self.ats = Ats.from_pretrained(Path(directory) / "ats").eval()
-        self.options = GenerateOptions.from_dict({**_sampling(directory), "num_steps": num_steps})
+        own = _sampling(directory)
+        if num_steps is not None:
+            own["num_steps"] = num_steps
+        self.options = GenerateOptions.from_dict(own)
         self.fps = float(self.ats.options.fps)
         self.emotions = tuple(self.ats.options.emotions)
 

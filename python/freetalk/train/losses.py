@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 _CLOSED_SHARE = 0.15  # of the usual opening
+_CLOSED_ENOUGH = 0.6  # of the opening that counts as closed
 _CLOSURE_FRAMES = 4  # around a closure in which the lips are open
 _LEAST_OPENING = 1e-4  # m, of a batch that hardly speaks
 
@@ -81,9 +82,10 @@ def _squared_norms(error: Tensor, valid: Tensor, point_weights: Tensor | None) -
 def closure_error(opening: Tensor, wanted: Tensor, valid: Tensor) -> Tensor:
     """How far lips are open that should be closed for a moment, as in p, b and m.
 
-    The mean squared error of the opening where the wanted one is at most 15 % of the usual and rises above twice that
-    within four frames, so that long pauses do not count. A denoiser that is unsure when lips close
-    otherwise answers with half-open ones.
+    The mean square of what the opening exceeds 9 % of the usual by, where the wanted one is at most 15 % of the usual
+    and rises above twice that within four frames, so that long pauses do not count. A denoiser that is unsure when lips
+    close otherwise answers with half-open ones. Lips that are closed enough feel no pull: pressing them further
+    would also lower the openings around, where the denoiser is no surer.
 
     Args:
         opening: (..., T) m.
@@ -99,5 +101,6 @@ def closure_error(opening: Tensor, wanted: Tensor, valid: Tensor) -> Tensor:
     rows = (wanted * valid).reshape(-1, 1, wanted.shape[-1])
     nearby = torch.nn.functional.max_pool1d(rows, reach, stride=1, padding=_CLOSURE_FRAMES)
     counted = valid & (wanted <= closed) & (nearby.view_as(wanted) > 2 * closed)
-    squared = ((opening - wanted).square() * counted).sum() / counted.sum().clamp_min(1)
+    excess = (opening - _CLOSED_ENOUGH * closed).clamp_min(0)
+    squared = (excess.square() * counted).sum() / counted.sum().clamp_min(1)
     return squared / usual.clamp_min(_LEAST_OPENING**2)
