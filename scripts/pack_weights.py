@@ -53,6 +53,9 @@ def main() -> None:
         default=0.3,
         help="of sampling, unless a user gives another",
     )
+    parser.add_argument(
+        "--steps", type=int, default=25, help="denoising steps, unless a user gives others"
+    )
     arguments = parser.parse_args()
     SpeechEncoder.from_pretrained(arguments.speech)
     ats = Ats.from_pretrained(arguments.ats)
@@ -69,7 +72,10 @@ def main() -> None:
         "fps": ats.options.fps,
         "sample_rate_hz": 16000,
         "emotions": list(ats.options.emotions),
-        "generate": {"mouth_temperature": arguments.mouth_temperature},
+        "generate": {
+            "num_steps": arguments.steps,
+            "mouth_temperature": arguments.mouth_temperature,
+        },
     }
     (arguments.out / "talker.json").write_text(json.dumps(description, indent=2) + "\n")
     print(f"weights in {arguments.out}")

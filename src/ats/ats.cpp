@@ -10,7 +10,8 @@ namespace freetalk::ats {
 
 namespace {
 
-constexpr int64_t kLocalRadius = 3;  // frames; of the first attention where no band is set
+constexpr int64_t kLocalRadius = 3;  // frames; of the first cross-attention where no band is set
+constexpr int64_t kSelfRadius = 6;   // frames; of the first self-attention: a blink lasts about six
 
 }  // namespace
 
@@ -76,8 +77,10 @@ void AtsImpl::start_locally() {
   target_positions_.add_(code);
   memory_positions_.add_(code);
   const int64_t radius = options_.band_radius < 0 ? kLocalRadius : options_.band_radius;
-  for (nn::TransformerDecoderLayer& layer : layers_)
+  for (nn::TransformerDecoderLayer& layer : layers_) {
+    nn::start_locally(layer->self_attention(), static_cast<double>(kSelfRadius));
     nn::start_locally(layer->cross_attention(), static_cast<double>(radius));
+  }
 }
 
 void AtsImpl::check_inputs(const at::Tensor& x, const at::Tensor& timestep,

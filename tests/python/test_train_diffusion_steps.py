@@ -11,7 +11,7 @@ import torch
 from mini_corpus import write_mini_corpus
 
 from freetalk.data import OpenCorpus
-from freetalk.data.landmarks import UPPER_FACE
+from freetalk.data.landmarks import EYES, LIPS, UPPER_FACE
 from freetalk.train.ats import AtsTask
 from freetalk.train.config import load_config
 
@@ -71,3 +71,22 @@ def test_a_rehearsed_mouth_is_the_models_own_estimate(
     torch.testing.assert_close(same, upper if rehearsal else torch.ones_like(upper))
     assert not shown.requires_grad  # what was rehearsed is given, not learnt through
     assert (shown[~batch["valid"]] == 0).all()
+
+
+@pytest.mark.parametrize("weighted, others", [(EYES, LIPS), (LIPS, EYES)])
+def test_eyes_and_lips_weigh_as_asked(
+    corpus: OpenCorpus, tmp_path: Path, weighted: tuple[int, ...], others: tuple[int, ...]
+) -> None:
+    eyes, lips = (3.0 if part is weighted else 1.0 for part in (EYES, LIPS))
+    task = make(corpus, tmp_path, f"task.eye_weight={eyes}", f"task.lip_weight={lips}")
+    rng = np.random.default_rng(2)
+    batch = task.collate([task.item(rng) for _ in range(2)])
+    target = task._normalised(batch).view(*batch["motion"].shape[:2], -1, 3)
+    losses = []
+    for part in (weighted, others):
+        off = target.clone()
+        off[..., list(part), :] += 1.0
+        task._denoise = lambda *_, off=off: off.flatten(-2)  # type: ignore[method-assign]
+        terms = task._terms(batch, batch["step"], batch["noise"])
+        losses.append(float(terms["position"]) / len(part))
+    assert losses[0] / losses[1] == pytest.approx(3.0, rel=1e-4)

@@ -38,8 +38,8 @@ struct AtsOptions {
   int64_t audio_dim = 768;          // C, channels of the speech features
   int64_t max_frames = 600;  // learned positions; longer motion is generated in overlapping windows
   int64_t band_radius = 3;   // r of Eq. 9, frames; unstated in the paper; -1: no band
-  /// First weights of positions and cross-attention, unstated in the paper: "local" (each head at
-  /// frames near its own, see nn/local_start.h) or "random".
+  /// First weights of positions and attention, unstated in the paper: "local" (each head at frames
+  /// near its own, see nn/local_start.h) or "random".
   std::string attention_start = "local";
   int64_t num_intensities = 3;  // learned levels 1 .. num_intensities
   double fps = 30.0;            // frames per second of the motion

@@ -52,6 +52,7 @@ class TransformerDecoderLayerImpl : public torch::nn::Module {
   at::Tensor forward(const at::Tensor& x, const at::Tensor& memory, const at::Tensor& self_allowed,
                      const at::Tensor& cross_allowed);
 
+  MultiheadAttention& self_attention() { return self_attn_; }
   MultiheadAttention& cross_attention() { return multihead_attn_; }
 
  private:

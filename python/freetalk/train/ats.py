@@ -15,6 +15,7 @@ from freetalk._pretrained import PRETRAINED
 from freetalk.ats import Ats, AtsOptions, GenerateOptions, generate
 from freetalk.data import NUM_LANDMARKS, MotionDataset, MotionSequence, interpolate_frames
 from freetalk.data.landmarks import (
+    EYES,
     INNER_LIP_PAIRS,
     LIPS,
     LOWER_INNER_LIP,
@@ -337,10 +338,11 @@ class AtsTask:
         return torch.from_numpy(frames.mean(axis=0)).float(), torch.from_numpy(spread).float()
 
     def _landmark_weights(self) -> Tensor | None:
-        if self.options.lip_weight == 1.0:
+        if self.options.lip_weight == self.options.eye_weight == 1.0:
             return None
         weights = torch.ones(NUM_LANDMARKS)
         weights[list(LIPS)] = self.options.lip_weight
+        weights[list(EYES)] = self.options.eye_weight
         return (weights / weights.mean()).to(self.device)
 
     def _gap(self, motion: Tensor) -> Tensor:

@@ -49,6 +49,8 @@ class AtsTaskOptions:
         lambda_acceleration: weight of Eq. 15's acceleration term.
         loss_units: ``normalised`` (each coordinate by its spread) or ``metres`` (the paper).
         lip_weight: weight of the 20 lip landmarks; 1 weighs all alike (the paper).
+        eye_weight: weight of the 12 landmarks of the eyelids, so that blinks are learnt, which are
+            rare; 1 weighs all alike (the paper).
         opening_weight: weight of an extra term on the inner-lip gaps, 0 disables (the paper).
         closure_weight: weight of an extra term on lips that should be closed for a moment, as in
             p, b and m; 0 disables (the paper).
@@ -73,6 +75,7 @@ class AtsTaskOptions:
     lambda_acceleration: float = 0.1
     loss_units: str = "metres"
     lip_weight: float = 1.0
+    eye_weight: float = 1.0
     opening_weight: float = 0.0
     closure_weight: float = 0.0
     validation_windows: int = 32
@@ -94,6 +97,7 @@ class AtsTaskOptions:
             self.loss_units,
         )
         require(self.lip_weight > 0, "task.lip_weight must be positive", self.lip_weight)
+        require(self.eye_weight > 0, "task.eye_weight must be positive", self.eye_weight)
 
 
 @dataclass
