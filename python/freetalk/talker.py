@@ -105,8 +105,8 @@ class Talker:
                 mixture and intensity, linear in between.
             progress: a progress bar on a terminal, nothing, or a callback (done, total).
             options: further fields of ``TalkerOptions``: intensity, fps, seed, sampler ("ddim", "ddpm",
-                "dpmpp"), num_steps, eta, audio_guidance, affect_guidance, mouth_temperature, precision, unit, up,
-                forward ...
+                "dpmpp"), num_steps, eta, audio_guidance, affect_guidance, mouth_temperature, blinks, precision,
+                unit, up, forward ...
 
         Returns:
             round(duration * fps) frames in the mesh's own unit, axes and vertex order.

@@ -13,10 +13,8 @@ namespace freetalk::talker {
 /// Whether no 100 ms of the clip are louder than -70 dB of full scale.
 bool is_silent(const audio::Audio& audio);
 
-/// (T, 68, 3) float32 m: breathing (4 s, nostrils and a trace of the chin) and blinks (every 2.5 to
-/// 6 s, 0.2 s long, closing faster than opening). The same seed gives the same motion.
+/// (T, 68, 3) float32 m: breathing (4 s, nostrils and a trace of the chin).
 /// @param landmarks (68, 3) m, the template's
-at::Tensor rest_motion(const Eigen::MatrixXd& landmarks, int64_t num_frames, double fps,
-                       uint64_t seed);
+at::Tensor rest_motion(const Eigen::MatrixXd& landmarks, int64_t num_frames, double fps);
 
 }  // namespace freetalk::talker

@@ -19,6 +19,7 @@
 #include "freetalk/core/scratch.h"
 #include "freetalk/geometry/operators.h"
 #include "freetalk/speech/features.h"
+#include "freetalk/talker/blinks.h"
 #include "rest.h"
 
 namespace freetalk::talker {
@@ -150,21 +151,13 @@ std::string metadata(const TalkerOptions& options, const Report& report) {
   return root.dump();
 }
 
-/// Motion of each seed, (T, 68, 3) float32 m at the requested rate, on the CPU.
-std::vector<at::Tensor> landmark_motion(TalkerModels& models, const audio::Audio& audio,
-                                        int64_t frames, const std::vector<int64_t>& seeds,
-                                        const TalkerOptions& options, c10::Device device,
-                                        Stages& stages, Report& report) {
+/// Motion that each seed gives to the speech, (T, 68, 3) float32 m at the requested rate, on the
+/// CPU.
+std::vector<at::Tensor> spoken_motion(TalkerModels& models, const audio::Audio& audio,
+                                      int64_t frames, const std::vector<int64_t>& seeds,
+                                      const TalkerOptions& options, c10::Device device,
+                                      Stages& stages) {
   const auto& own = models.ats->options();
-  std::vector<at::Tensor> result;
-  if (is_silent(audio)) {
-    report.notices.push_back("the audio is silent: the face rests, breathes and blinks");
-    for (const int64_t seed : seeds) {
-      result.push_back(
-          rest_motion(models.face.landmarks68, frames, options.fps, static_cast<uint64_t>(seed)));
-    }
-    return result;
-  }
   stages.begin("speech");
   const auto heard = audio.sample_rate_hz == speech::kSampleRateHz
                          ? audio
@@ -186,10 +179,36 @@ std::vector<at::Tensor> landmark_motion(TalkerModels& models, const audio::Audio
                     generators, [&](int64_t done, int64_t total) {
                       stages.at(static_cast<double>(done) / static_cast<double>(total));
                     });
+  std::vector<at::Tensor> result;
   for (const auto& one : motion.to(at::kCPU).unbind()) {
-    result.push_back(animation::resample_motion(one, own.fps, options.fps, frames));
+    result.push_back(animation::resample_motion(one, own.fps, options.fps, frames).contiguous());
   }
   return result;
+}
+
+/// Motion of each seed, (T, 68, 3) float32 m at the requested rate, on the CPU.
+std::vector<at::Tensor> landmark_motion(TalkerModels& models, const audio::Audio& audio,
+                                        int64_t frames, const std::vector<int64_t>& seeds,
+                                        const TalkerOptions& options, c10::Device device,
+                                        Stages& stages, Report& report) {
+  const auto& landmarks = models.face.landmarks68;
+  std::vector<at::Tensor> motions;
+  if (is_silent(audio)) {
+    report.notices.push_back(options.blinks
+                                 ? "the audio is silent: the face rests, breathes and blinks"
+                                 : "the audio is silent: the face rests and breathes");
+    for (size_t k = 0; k < seeds.size(); ++k) {
+      motions.push_back(rest_motion(landmarks, frames, options.fps));
+    }
+  } else {
+    motions = spoken_motion(models, audio, frames, seeds, options, device, stages);
+  }
+  if (options.blinks) {
+    for (size_t k = 0; k < seeds.size(); ++k) {
+      add_blinks(motions[k], landmarks, options.fps, static_cast<uint64_t>(seeds[k]));
+    }
+  }
+  return motions;
 }
 
 }  // namespace

@@ -128,16 +128,17 @@ def test_sampling_options_and_keyframes_reach_the_talker(room: Path, tmp_path: P
         "--precision",
         "bfloat16",
     ]
-    options += ["--guidance", "audio=1.5,emotion=2", "--mouth-temperature", "0.25"]
+    options += ["--guidance", "audio=1.5,emotion=2", "--mouth-temperature", "0.25", "--no-blinks"]
     assert animate(room, *options, "--out", out) == 0
     used = ft.Animation.load(out).metadata["options"]
     assert used["emotion"] == emotion
     wanted = {"sampler": "dpmpp", "num_steps": 6, "precision": "bfloat16"}
     wanted |= {"audio_guidance": 1.5, "affect_guidance": 2.0, "mouth_temperature": 0.25}
     assert {name: used[name] for name in wanted} == wanted
+    assert not used["blinks"]
     assert animate(room, "--guidance", "1.5", "--steps", "2", "--out", out) == 0
     used = ft.Animation.load(out).metadata["options"]
-    assert (used["audio_guidance"], used["affect_guidance"]) == (1.5, 1.5)
+    assert (used["audio_guidance"], used["affect_guidance"], used["blinks"]) == (1.5, 1.5, True)
 
 
 @pytest.mark.parametrize(

@@ -39,6 +39,7 @@ struct TalkerOptions {
   double audio_guidance = -1.0;  // see ats::GenerateOptions; negative: as the weights say
   double affect_guidance = -1.0;
   double mouth_temperature = -1.0;    // see ats::GenerateOptions; negative: as the weights say
+  bool blinks = true;                 // also blink where the model leaves the eyes open for long
   std::string precision = "float32";  // of ATS and STM: "float32" or "bfloat16" (faster, coarser)
   std::string unit = "auto";          // of the mesh, see geometry::AlignOptions
   std::string up = "auto";
@@ -58,6 +59,7 @@ struct TalkerOptions {
     v("audio_guidance", audio_guidance);
     v("affect_guidance", affect_guidance);
     v("mouth_temperature", mouth_temperature);
+    v("blinks", blinks);
     v("precision", precision);
     v("unit", unit);
     v("up", up);

@@ -16,6 +16,7 @@ class TalkerOptions:
     __hash__: typing.ClassVar[None] = None
     affect_guidance: typing.Any
     audio_guidance: typing.Any
+    blinks: typing.Any
     cache_dir: typing.Any
     emotion: typing.Any
     eta: typing.Any

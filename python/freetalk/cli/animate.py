@@ -50,7 +50,10 @@ def animate(
     """Generates the motion and says what was guessed about the mesh."""
     options: dict[str, Any] = {
         name: getattr(arguments, name)
-        for name in ("emotion", "intensity", "fps", "seed", "precision", "unit", "up", "forward")
+        for name in (
+            *("emotion", "intensity", "fps", "seed", "blinks", "precision"),
+            *("unit", "up", "forward"),
+        )
     }
     if hasattr(arguments, "sampler"):
         options["sampler"] = arguments.sampler

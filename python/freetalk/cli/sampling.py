@@ -53,6 +53,12 @@ def add_sampling(parser: argparse.ArgumentParser) -> None:
         "--mouth-temperature", type=temperature, default=absent, metavar="T", help=temperature_help
     )
     parser.add_argument(
+        "--blinks",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="also blink where the model leaves the eyes open for long",
+    )
+    parser.add_argument(
         "--precision",
         choices=("float32", "bfloat16"),
         default="float32",

@@ -187,6 +187,26 @@ TEST_F(TalkerTest, SilenceGivesARestingFaceAndANotice) {
   EXPECT_NE(report.notices[0].find("silent"), std::string::npos);
 }
 
+TEST_F(TalkerTest, BlinksUnlessAskedNotTo) {
+  auto talker = Talker::from_pretrained(dir_, c10::kCPU);
+  const auto mesh = face_mesh(1.0);
+  for (const double loudness : {0.0, 0.3}) {
+    auto wanted = options();
+    const auto with = talker.animate(hum(4.0, loudness), mesh, wanted).displacements;
+    wanted.blinks = false;
+    Report report;
+    const auto without =
+        talker.animate(hum(4.0, loudness), mesh, wanted, {}, &report).displacements;
+    for (const auto& notice : report.notices) EXPECT_EQ(notice.find("blinks"), std::string::npos);
+    const auto differs = (with != without).any(2).any(1);
+    EXPECT_FALSE(differs.slice(0, 0, 15).any().item<bool>());
+    if (loudness == 0) {
+      EXPECT_TRUE(differs.any().item<bool>());
+    }
+    EXPECT_LT(differs.sum().item<int64_t>(), 30);
+  }
+}
+
 TEST_F(TalkerTest, ReportsStagesInOrder) {
   auto talker = Talker::from_pretrained(dir_, c10::kCPU);
   std::vector<std::string> seen;
