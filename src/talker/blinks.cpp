@@ -14,16 +14,16 @@ namespace {
 using Positions = at::TensorAccessor<float, 3>;
 
 constexpr std::array<std::array<int, 2>, 4> kLids = {
-    {{37, 41}, {38, 40}, {43, 47}, {44, 46}}};      // upper, lower
-constexpr double kClosing = 0.07, kOpening = 0.13;  // s
-constexpr double kClosure = 0.92;                   // share of the way from lid to lid
-constexpr double kClosed = 0.5;                     // of the usual opening
-constexpr double kApart = 1.5;                      // s, from one blink to the next at least
+    {{37, 41}, {38, 40}, {43, 47}, {44, 46}}};                    // upper, lower
+constexpr double kClosing = 0.07, kShut = 0.04, kOpening = 0.13;  // s
+constexpr double kClosure = 0.96;  // share of the way from lid to lid
+constexpr double kClosed = 0.5;    // of the usual opening
+constexpr double kApart = 1.5;     // s, from one blink to the next at least
 
 /// Lid closure in [0, 1] at a time since the blink began.
 double lid(double time) {
-  if (time < 0 || time > kClosing + kOpening) return 0;
-  const double share = time < kClosing ? time / kClosing : (kClosing + kOpening - time) / kOpening;
+  const double left = kClosing + kShut + kOpening - time;
+  const double share = std::clamp(std::min(time / kClosing, left / kOpening), 0.0, 1.0);
   return share * share * (3 - 2 * share);
 }
 
@@ -69,7 +69,7 @@ void add_blinks(at::Tensor& motion, const Eigen::MatrixXd& landmarks, double fps
     const auto first = static_cast<int64_t>(std::ceil(blink * fps));
     for (int64_t t = first; t < frames.size(0); ++t) {
       const double time = static_cast<double>(t) / fps - blink;
-      if (time > kClosing + kOpening) break;
+      if (time > kClosing + kShut + kOpening) break;
       for (const auto& [upper, lower] : kLids) {
         for (int axis = 0; axis < 3; ++axis) {
           const double gap = landmarks(lower, axis) + frames[t][lower][axis] -

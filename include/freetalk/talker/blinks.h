@@ -8,7 +8,7 @@
 
 namespace freetalk::talker {
 
-/// Closes the lids every 2.5 to 6 s, for 0.2 s, closing faster than opening [Trutoiu et al. 2011];
+/// Closes the lids every 2.5 to 6 s, for 0.24 s, closing faster than opening [Trutoiu et al. 2011];
 /// a blink within 1.5 s of one that the motion has itself is left out. The same seed gives the same
 /// blinks.
 /// @param motion (T, 68, 3) float32 m, changed in place. @param landmarks (68, 3) m, the
