@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import gc
 import pickle
 
 import pytest
@@ -113,12 +114,18 @@ def test_save_and_load_pretrained(model: Ats, tmp_path) -> None:
 
 
 def test_distributed_data_parallel_wraps_it(model: Ats, tmp_path) -> None:
+    def backward() -> None:
+        # Gone before the process group: the last to hold a group joins its threads, and the
+        # wrapper would do so holding the interpreter's lock, which they may be waiting for.
+        wrapped = nn.parallel.DistributedDataParallel(model, find_unused_parameters=True)
+        run(wrapped).square().mean().backward()
+
     torch.distributed.init_process_group(
         "gloo", init_method=f"file://{tmp_path}/rendezvous", rank=0, world_size=1
     )
     try:
-        wrapped = nn.parallel.DistributedDataParallel(model, find_unused_parameters=True)
-        run(wrapped).square().mean().backward()
+        backward()
+        gc.collect()
         assert model.get_parameter("output_proj.weight").grad.abs().sum() > 0
     finally:
         torch.distributed.destroy_process_group()
