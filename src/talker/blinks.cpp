@@ -70,11 +70,12 @@ void add_blinks(at::Tensor& motion, const Eigen::MatrixXd& landmarks, double fps
     for (int64_t t = first; t < frames.size(0); ++t) {
       const double time = static_cast<double>(t) / fps - blink;
       if (time > kClosing + kShut + kOpening) break;
+      const double closure = kClosure * lid(time);
       for (const auto& [upper, lower] : kLids) {
         for (int axis = 0; axis < 3; ++axis) {
           const double gap = landmarks(lower, axis) + frames[t][lower][axis] -
                              landmarks(upper, axis) - frames[t][upper][axis];
-          frames[t][upper][axis] += static_cast<float>(kClosure * lid(time) * gap);
+          frames[t][upper][axis] += static_cast<float>(closure * gap);
         }
       }
     }
