@@ -16,7 +16,7 @@ namespace py = pybind11;
 namespace animation = freetalk::animation;
 using NoGil = py::call_guard<py::gil_scoped_release>;
 
-animation::Animation make_animation(const freetalk::geometry::Mesh& mesh,
+animation::Animation make_animation(const freetalk::mesh::Mesh& mesh,
                                     const at::Tensor& displacements, double fps,
                                     const std::optional<freetalk::audio::Audio>& audio,
                                     const std::string& metadata_json, double metres_per_unit,

@@ -38,7 +38,7 @@ void bind_talker(py::module_& m) {
       .def(
           "animate",
           [](talker::Talker& self, const freetalk::audio::Audio& audio,
-             const freetalk::geometry::Mesh& mesh, const talker::TalkerOptions& options,
+             const freetalk::mesh::Mesh& mesh, const talker::TalkerOptions& options,
              const talker::Progress& progress) {
             talker::Report report;
             auto result = self.animate(audio, mesh, options, progress, &report);
@@ -49,7 +49,7 @@ void bind_talker(py::module_& m) {
       .def(
           "animate_many",
           [](talker::Talker& self, const freetalk::audio::Audio& audio,
-             const freetalk::geometry::Mesh& mesh, const std::vector<int64_t>& seeds,
+             const freetalk::mesh::Mesh& mesh, const std::vector<int64_t>& seeds,
              const talker::TalkerOptions& options, const talker::Progress& progress) {
             talker::Report report;
             auto result = self.animate_many(audio, mesh, seeds, options, progress, &report);

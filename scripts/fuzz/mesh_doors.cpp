@@ -2,15 +2,15 @@
 #include <stdexcept>
 
 #include "driver.h"
-#include "freetalk/geometry/mesh.h"
-#include "freetalk/geometry/mesh_report.h"
+#include "freetalk/mesh/mesh.h"
+#include "freetalk/mesh/report.h"
 
 namespace freetalk::fuzz {
 
 bool open_door(const std::filesystem::path& file) {
   try {
-    const geometry::Mesh mesh = geometry::load_mesh(file);
-    return geometry::mesh_report(mesh).vertices == mesh.num_vertices();
+    const mesh::Mesh mesh = mesh::load_mesh(file);
+    return mesh::mesh_report(mesh).vertices == mesh.num_vertices();
   } catch (const std::runtime_error&) {
     return false;  // Named and refused, which is as good.
   }

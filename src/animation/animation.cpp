@@ -8,7 +8,7 @@
 #include <cmath>
 
 #include "freetalk/core/error.h"
-#include "freetalk/core/scratch.h"
+#include "core/scratch.h"
 #include "gltf.h"
 #include "npz_animation.h"
 #include "sequence.h"

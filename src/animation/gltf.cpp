@@ -14,6 +14,7 @@
 #include "freetalk/core/error.h"
 #include "freetalk/core/file.h"
 #include "freetalk/geometry/surface.h"
+#include "freetalk/mesh/normals.h"
 
 namespace freetalk::animation {
 namespace {
@@ -31,7 +32,7 @@ struct Corners {
 };
 
 /// For every corner of every triangle its row of mesh.texcoords, -1 if it has none.
-std::vector<int> corner_texcoords(const geometry::Mesh& mesh) {
+std::vector<int> corner_texcoords(const mesh::Mesh& mesh) {
   std::vector<int> rows(3 * mesh.num_faces(), -1);
   for (int64_t f = 0; f < mesh.num_faces(); ++f) {
     const int64_t index = mesh.polygons.empty() ? f : mesh.face_polygon.at(f);
@@ -46,7 +47,7 @@ std::vector<int> corner_texcoords(const geometry::Mesh& mesh) {
   return rows;
 }
 
-Corners make_corners(const geometry::Mesh& mesh) {
+Corners make_corners(const mesh::Mesh& mesh) {
   Corners corners;
   const int64_t vertices = mesh.num_vertices();
   for (int64_t v = 0; v < vertices; ++v) corners.source.push_back(static_cast<int32_t>(v));
@@ -143,7 +144,7 @@ ordered_json mesh_json(const Animation& animation, const MorphBasis& basis, Buff
   attributes["POSITION"] =
       buffer.add(per_corner(to_tensor(mesh.vertices)), "VEC3", kFloat, kArrayBuffer, true);
   attributes["NORMAL"] =
-      buffer.add(per_corner(to_tensor(geometry::vertex_normals(mesh.vertices, mesh.faces))), "VEC3",
+      buffer.add(per_corner(to_tensor(mesh::vertex_normals(mesh.vertices, mesh.faces))), "VEC3",
                  kFloat, kArrayBuffer, false);
   if (!corners.texcoords.empty()) {
     attributes["TEXCOORD_0"] = buffer.add(at::tensor(corners.texcoords).view({-1, 2}), "VEC2",

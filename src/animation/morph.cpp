@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "freetalk/core/error.h"
-#include "freetalk/core/scratch.h"
+#include "core/scratch.h"
 
 namespace freetalk::animation {
 namespace {

@@ -6,7 +6,7 @@
 
 #include "freetalk/core/error.h"
 #include "freetalk/core/file.h"
-#include "freetalk/core/scratch.h"
+#include "core/scratch.h"
 #include "npz.h"
 
 namespace freetalk::animation {
@@ -58,7 +58,7 @@ RowMajor<T> read_matrix(NpzReader& reader, const std::string& name, int64_t colu
   return Eigen::Map<const RowMajor<T>>(values.data(), rows, columns);
 }
 
-geometry::Mesh read_mesh(NpzReader& reader, const std::string& where) {
+mesh::Mesh read_mesh(NpzReader& reader, const std::string& where) {
   const Eigen::MatrixXd vertices = read_matrix<double>(reader, "vertices", 3, where);
   std::vector<std::vector<int>> polygons, polygon_texcoords;
   if (reader.contains("polygon_sizes")) {
@@ -76,7 +76,7 @@ geometry::Mesh read_mesh(NpzReader& reader, const std::string& where) {
   }
   const std::string name = reader.contains("name") ? reader.read_text("name") : "";
   try {
-    return geometry::make_mesh(vertices, std::move(polygons), std::move(texcoords),
+    return mesh::make_mesh(vertices, std::move(polygons), std::move(texcoords),
                                std::move(polygon_texcoords), name);
   } catch (const std::invalid_argument& error) {
     throw std::runtime_error(where + ": " + error.what());

@@ -10,6 +10,8 @@
 #include <utility>
 
 #include "freetalk/geometry/surface.h"
+#include "freetalk/mesh/components.h"
+#include "freetalk/mesh/normals.h"
 
 namespace freetalk::animation {
 namespace {
@@ -133,7 +135,7 @@ double dividing_height(std::vector<double> heights) {
 }
 
 std::vector<double> component_areas(const MatrixXd& vertices, const Welded& welded) {
-  const auto areas = geometry::face_areas(vertices, welded.faces);
+  const auto areas = mesh::face_areas(vertices, welded.faces);
   std::vector<double> sums(welded.num_components, 0.0);
   for (int64_t f = 0; f < welded.faces.rows(); ++f) {
     sums[welded.component[welded.faces(f, 0)]] += areas[f];
@@ -174,8 +176,8 @@ Welded weld_seams(const MatrixXd& vertices, const Eigen::MatrixXi& faces) {
   for (const auto& [edge, count] : edges) {
     if (count == 1) border[edge.first] = border[edge.second] = true;
   }
-  const auto same = geometry::coincident_vertices(vertices);
-  const MatrixXd normals = geometry::vertex_normals(vertices, faces);
+  const auto same = mesh::coincident_vertices(vertices);
+  const MatrixXd normals = mesh::vertex_normals(vertices, faces);
   Welded welded;
   welded.representative.resize(vertices.rows());
   for (int64_t v = 0; v < vertices.rows(); ++v) {
@@ -184,7 +186,7 @@ Welded weld_seams(const MatrixXd& vertices, const Eigen::MatrixXi& faces) {
     welded.representative[v] = joined ? first : static_cast<int>(v);
   }
   welded.faces = faces.unaryExpr([&](int v) { return welded.representative[v]; });
-  const auto labels = geometry::connected_components(vertices.rows(), welded.faces);
+  const auto labels = mesh::connected_components(vertices.rows(), welded.faces);
   std::map<int, int> order;
   welded.component.resize(vertices.rows());
   for (int64_t v = 0; v < vertices.rows(); ++v) {

@@ -1,8 +1,6 @@
 #include "freetalk/animation/parts.h"
 
 #include <ATen/ATen.h>
-#include <ATen/Parallel.h>
-
 #include <algorithm>
 #include <cmath>
 
@@ -10,6 +8,7 @@
 #include "freetalk/core/error.h"
 #include "part_classes.h"
 #include "point_grid.h"
+#include "core/parallel.h"
 
 namespace freetalk::animation {
 namespace {
@@ -147,7 +146,7 @@ at::Tensor Parts::move(const at::Tensor& face_displacements, const at::Tensor& l
   auto result = at::empty({frames, total, 3}, at::kFloat);
   const float* from = source.data_ptr<float>();
   float* to = result.data_ptr<float>();
-  at::parallel_for(0, frames, 1, [&](int64_t begin, int64_t end) {
+  core::parallel_for(0, frames, 1, [&](int64_t begin, int64_t end) {
     for (int64_t t = begin; t < end; ++t) {
       for (int64_t v = 0; v < total; ++v) {
         Eigen::Vector3f sum = Eigen::Vector3f::Zero();

@@ -6,7 +6,7 @@
 #include <system_error>
 
 #include "freetalk/core/error.h"
-#include "freetalk/geometry/mesh.h"
+#include "freetalk/mesh/mesh.h"
 
 namespace freetalk::animation {
 namespace {
@@ -49,10 +49,10 @@ SaveReport save_sequence(const fs::path& folder, const std::string& extension,
                            ": is a file; give a folder for the frames");
     const std::string hidden = core::join(".", clean.filename().string(), ".", ::getpid());
     const TemporaryFolder temporary(clean.parent_path() / hidden);
-    geometry::Mesh frame = animation.mesh;
+    mesh::Mesh frame = animation.mesh;
     for (int64_t t = 0; t < animation.num_frames(); ++t) {
       frame.vertices = animation.vertices_at(t);
-      geometry::save_mesh(temporary.path() / frame_name(t, extension), frame);
+      mesh::save_mesh(temporary.path() / frame_name(t, extension), frame);
     }
     fs::create_directories(clean);
     for (int64_t t = 0; t < animation.num_frames(); ++t) {

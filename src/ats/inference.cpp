@@ -1,4 +1,4 @@
-#include "freetalk/ats/inference.h"
+#include "ats/inference.h"
 
 #include <ATen/ATen.h>
 

@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "freetalk/ats/generate.h"
-#include "freetalk/ats/inference.h"
+#include "ats/inference.h"
 
 namespace freetalk::ats {
 

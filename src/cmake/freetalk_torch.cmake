@@ -36,4 +36,15 @@ target_include_directories(freetalk::torch SYSTEM INTERFACE
 target_link_libraries(freetalk::torch INTERFACE
   "-Wl,--no-as-needed" "${FREETALK_TORCH_LIBRARY}" "${FREETALK_TORCH_CPU_LIBRARY}"
   "${FREETALK_C10_LIBRARY}" "-Wl,--as-needed")
+
+# The OpenMP runtime of torch itself: a process with two of them runs twice the threads.
+file(GLOB _freetalk_openmp "${FREETALK_TORCH_DIR}/lib/libgomp*.so*" "${FREETALK_TORCH_DIR}/lib/libiomp5.so*"
+     "${FREETALK_TORCH_DIR}/../torch.libs/libgomp*.so*")
+if(_freetalk_openmp)
+  list(GET _freetalk_openmp 0 _freetalk_openmp)
+  target_link_libraries(freetalk::torch INTERFACE "${_freetalk_openmp}")
+else()
+  find_package(OpenMP REQUIRED COMPONENTS CXX)
+  target_link_libraries(freetalk::torch INTERFACE OpenMP::OpenMP_CXX)
+endif()
 target_link_options(freetalk::torch INTERFACE "-Wl,-rpath,${FREETALK_TORCH_DIR}/lib")

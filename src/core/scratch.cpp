@@ -1,4 +1,4 @@
-#include "freetalk/core/scratch.h"
+#include "core/scratch.h"
 
 #include <ATen/ATen.h>
 #include <fcntl.h>

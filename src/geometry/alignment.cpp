@@ -10,7 +10,9 @@
 
 #include "freetalk/core/error.h"
 #include "freetalk/geometry/surface.h"
-#include "kd_tree.h"
+#include "freetalk/mesh/components.h"
+#include "freetalk/mesh/normals.h"
+#include "mesh/kd_tree.h"
 #include "similarity_icp.h"
 
 namespace freetalk::geometry {
@@ -56,11 +58,11 @@ std::vector<Eigen::Matrix3d> orientations(const AlignOptions& options) {
 
 /// The faces of the part with the largest area, parts being connected through equal positions too.
 Eigen::MatrixXi largest_part(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces) {
-  const Eigen::VectorXi first = coincident_vertices(vertices);
+  const Eigen::VectorXi first = mesh::coincident_vertices(vertices);
   Eigen::MatrixXi welded = faces;
   for (Eigen::Index i = 0; i < welded.size(); ++i) welded(i) = first[welded(i)];
-  const Eigen::VectorXi labels = connected_components(vertices.rows(), welded);
-  const Eigen::VectorXd areas = face_areas(vertices, faces);
+  const Eigen::VectorXi labels = mesh::connected_components(vertices.rows(), welded);
+  const Eigen::VectorXd areas = mesh::face_areas(vertices, faces);
   Eigen::VectorXd area_of = Eigen::VectorXd::Zero(labels.maxCoeff() + 1);
   for (Eigen::Index f = 0; f < faces.rows(); ++f) area_of[labels[welded(f, 0)]] += areas[f];
   int largest = 0;
@@ -74,8 +76,8 @@ Eigen::MatrixXi largest_part(const Eigen::MatrixXd& vertices, const Eigen::Matri
   return faces(kept, Eigen::all);
 }
 
-KdTree make_tree(const SurfaceSamples& samples, double normal_sign) {
-  return KdTree(samples.points.transpose(), normal_sign * samples.normals.transpose());
+mesh::KdTree make_tree(const SurfaceSamples& samples, double normal_sign) {
+  return mesh::KdTree(samples.points.transpose(), normal_sign * samples.normals.transpose());
 }
 
 struct Box {
@@ -162,9 +164,9 @@ std::vector<std::pair<double, double>> start_scales(const std::string& unit, dou
 }
 
 struct Search {
-  const KdTree& coarse;  // the mesh
-  const KdTree& fine;
-  const KdTree& target;
+  const mesh::KdTree& coarse;  // the mesh
+  const mesh::KdTree& fine;
+  const mesh::KdTree& target;
   double target_spacing;
   const AlignOptions& options;
 
@@ -195,11 +197,11 @@ struct Search {
     return candidates.front();
   }
 
-  IcpProblem problem(const KdTree& mesh, double prior) const {
+  IcpProblem problem(const mesh::KdTree& mesh, double prior) const {
     return {mesh, target, target_spacing, prior};
   }
 
-  void rescore(std::vector<Candidate>& candidates, const KdTree& mesh, double reach_m,
+  void rescore(std::vector<Candidate>& candidates, const mesh::KdTree& mesh, double reach_m,
                int num_target, int num_source) const {
     for (Candidate& c : candidates) {
       c.score = fit_score(problem(mesh, c.prior), c.pose, reach_m, num_target, num_source);
@@ -207,7 +209,7 @@ struct Search {
   }
 
   /// Refines all, scores them at `reach_m` and keeps the best `count`.
-  void stage(std::vector<Candidate>& candidates, const KdTree& mesh, const IcpSettings& settings,
+  void stage(std::vector<Candidate>& candidates, const mesh::KdTree& mesh, const IcpSettings& settings,
              double reach_m, size_t count) const {
     for (Candidate& c : candidates) c.pose = refine(problem(mesh, c.prior), c.pose, settings);
     rescore(candidates, mesh, reach_m, 2 * settings.num_target, settings.num_source);
@@ -249,12 +251,12 @@ bool face_like(const FitQuality& quality) {
 /// The best fit; with the normals turned around too if the first does not look like a face (wound
 /// inside out).
 Fit search_both_windings(const SurfaceSamples& coarse_samples, const SurfaceSamples& fine_samples,
-                         const KdTree& target, double spacing, const AlignOptions& options,
+                         const mesh::KdTree& target, double spacing, const AlignOptions& options,
                          bool arbitrary) {
   Fit best;
   for (const double normal_sign : {1.0, -1.0}) {
-    const KdTree coarse = make_tree(coarse_samples, normal_sign);
-    const KdTree fine = make_tree(fine_samples, normal_sign);
+    const mesh::KdTree coarse = make_tree(coarse_samples, normal_sign);
+    const mesh::KdTree fine = make_tree(fine_samples, normal_sign);
     Fit fit{Search{coarse, fine, target, spacing, options}.run(arbitrary).pose};
     fit.quality = fit_quality({fine, target, spacing, 0.0}, fit.pose);
     if (fit.badness() < best.badness()) best = fit;
@@ -332,7 +334,7 @@ Alignment align_to_template(const Eigen::MatrixXd& vertices, const Eigen::Matrix
                      faces.rows() > 0 && faces.minCoeff() >= 0 &&
                      faces.maxCoeff() < vertices.rows(),
                  "alignment needs finite vertices (V, 3) and triangles (F, 3) within them");
-  const KdTree target(template_points.transpose(), template_normals.transpose());
+  const mesh::KdTree target(template_points.transpose(), template_normals.transpose());
   const Eigen::MatrixXi part = largest_part(vertices, faces);
   constexpr int64_t kCoarse = 3000, kFine = 16000;
   const SurfaceSamples coarse_samples = sample_surface(vertices, part, kCoarse);

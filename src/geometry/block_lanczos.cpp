@@ -1,6 +1,6 @@
 #include "block_lanczos.h"
+#include "core/parallel.h"
 
-#include <ATen/Parallel.h>
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 
@@ -22,7 +22,7 @@ int64_t num_chunks(int64_t rows) { return (rows + kChunkRows - 1) / kChunkRows; 
 /// Calls body(begin, end, chunk) for each chunk of rows.
 template <class Body>
 void for_chunks(int64_t rows, const Body& body) {
-  at::parallel_for(0, num_chunks(rows), 1, [&](int64_t first, int64_t last) {
+  core::parallel_for(0, num_chunks(rows), 1, [&](int64_t first, int64_t last) {
     for (int64_t chunk = first; chunk < last; ++chunk) {
       body(chunk * kChunkRows, std::min(rows, (chunk + 1) * kChunkRows), chunk);
     }
@@ -35,7 +35,7 @@ using Targets = std::vector<TallBlock*>;
 /// blocks[j]^T targets[t] at [t * blocks.size() + j]. Each tile of a block is read once for all
 /// targets.
 std::vector<Small> grams(const Blocks& blocks, const Blocks& targets) {
-  const BlockKernels& kernels = block_kernels();
+  const BlockKernels& kernels = kernels::block_kernels();
   const int64_t num_rows = targets[0]->rows();
   const size_t count = blocks.size() * targets.size();
   std::vector<std::vector<Small>> partial(static_cast<size_t>(num_chunks(num_rows)));
@@ -66,7 +66,7 @@ Small gram(const TallBlock& a, const TallBlock& b) { return grams({&a}, {&b})[0]
 
 /// targets[t] -= sum_j blocks[j] factors[t * blocks.size() + j].
 void subtract(const Blocks& blocks, const std::vector<Small>& factors, const Targets& targets) {
-  const BlockKernels& kernels = block_kernels();
+  const BlockKernels& kernels = kernels::block_kernels();
   for_chunks(targets[0]->rows(), [&](int64_t begin, int64_t end, int64_t) {
     alignas(64) Small factor;
     for (int64_t r = begin; r < end; r += kTileRows) {
@@ -83,7 +83,7 @@ void subtract(const Blocks& blocks, const std::vector<Small>& factors, const Tar
 
 /// x <- x factor.
 void multiply(TallBlock& x, const Small& factor) {
-  const BlockKernels& kernels = block_kernels();
+  const BlockKernels& kernels = kernels::block_kernels();
   for_chunks(x.rows(), [&](int64_t begin, int64_t end, int64_t) {
     // x - x (I - factor) would lose digits, so the product goes through a tile of zeros.
     alignas(64) double tile[kTileRows * kBlockWidth];
@@ -333,7 +333,7 @@ Eigen::MatrixXd BlockLanczos::evecs(int64_t count) const {
   Eigen::VectorXi vertex(rows);
   for (int64_t v = 0; v < rows; ++v) vertex[factor_.order()[v]] = static_cast<int>(v);
   Eigen::MatrixXd result(rows, count);
-  const BlockKernels& kernels = block_kernels();
+  const BlockKernels& kernels = kernels::block_kernels();
   for_chunks(rows, [&](int64_t begin, int64_t end, int64_t) {
     alignas(64) double tile[kTileRows * kBlockWidth];
     alignas(64) Small factor;

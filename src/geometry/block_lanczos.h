@@ -16,7 +16,7 @@
 #include <functional>
 #include <vector>
 
-#include "block_kernels.h"
+#include "kernels/block_kernels.h"
 #include "shifted_factor.h"
 
 namespace freetalk::geometry {

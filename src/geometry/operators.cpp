@@ -8,9 +8,9 @@
 #include "freetalk/core/error.h"
 #include "freetalk/geometry/eigenbasis.h"
 #include "freetalk/geometry/surface.h"
-#include "freetalk/geometry/weld.h"
+#include "freetalk/mesh/weld.h"
 #include "laplacian_by_name.h"
-#include "mean_normals.h"
+#include "freetalk/mesh/normals.h"
 #include "operators_faces.h"
 #include "point_cloud_operators.h"
 #include "tensor_conversion.h"
@@ -37,7 +37,7 @@ void check_surface(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces
   FREETALK_CHECK(faces.minCoeff() >= 0 && faces.maxCoeff() < vertices.rows(), "operators of ", name,
                  " need face indices within 0 .. ", vertices.rows() - 1, ", found ",
                  faces.minCoeff(), " .. ", faces.maxCoeff());
-  const double area = face_areas(vertices, faces).sum();
+  const double area = mesh::face_areas(vertices, faces).sum();
   FREETALK_CHECK(std::isfinite(area) && area > 0.0, "operators of ", name,
                  " need a surface; all faces of the mesh have zero area");
 }
@@ -46,11 +46,11 @@ void check_surface(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces
 /// meshes of unit size that takes weight from small faces only.
 Eigen::MatrixXd normals_of(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
                            Regularization regularization) {
-  if (regularization == Regularization::kRelative) return vertex_normals(vertices, faces);
-  const Eigen::ArrayXd doubled = 2.0 * face_areas(vertices, faces).array();
-  Eigen::MatrixXd of_faces = face_normals(vertices, faces);
+  if (regularization == Regularization::kRelative) return mesh::vertex_normals(vertices, faces);
+  const Eigen::ArrayXd doubled = 2.0 * mesh::face_areas(vertices, faces).array();
+  Eigen::MatrixXd of_faces = mesh::face_normals(vertices, faces);
   of_faces.array().colwise() *= doubled / (doubled + 1e-6);
-  return mean_normals(of_faces, faces, vertices.rows());
+  return mesh::mean_normals(of_faces, faces, vertices.rows());
 }
 
 /// Row w of (W, ...) at every vertex welded into w.
@@ -88,7 +88,7 @@ Eigen::VectorXd shares(const Eigen::VectorXi& vertex_of, Eigen::Index welded) {
 }
 
 /// Operators of the original vertices: those of one spot share its row and its mass.
-SurfaceOperators expanded(const WeldedSurface& surface, const Eigen::VectorXd& mass,
+SurfaceOperators expanded(const mesh::WeldedSurface& surface, const Eigen::VectorXd& mass,
                           const Eigenbasis& basis, const Eigen::MatrixXd& normals,
                           const Eigen::MatrixXd& frames, const RowSparseMatrix& welded_gradient) {
   const Eigen::VectorXi& vertex_of = surface.vertex_of;
@@ -123,7 +123,7 @@ void OperatorOptions::check() const {
                  "\"");
   FREETALK_CHECK(residual_tolerance > 0.0, "residual_tolerance must be positive, found ",
                  residual_tolerance);
-  check_weld(weld);
+  mesh::check_weld(weld);
 }
 
 SurfaceOperators SurfaceOperators::scaled(double factor) const {
@@ -169,7 +169,7 @@ SurfaceOperators surface_operators(const Eigen::MatrixXd& vertices, const Eigen:
                                    const std::function<void(double)>& progress) {
   check_surface(vertices, faces, options, name);
   if (faces.rows() == 0) return point_cloud_operators(vertices, options, name, progress);
-  const WeldedSurface surface = weld(vertices, faces, options.weld);
+  const mesh::WeldedSurface surface = mesh::weld(vertices, faces, options.weld);
   const Eigen::Index welded = surface.vertices.rows();
   FREETALK_CHECK(options.k_eig <= welded, "operators of ", name, " were asked for ", options.k_eig,
                  " eigenpairs but the mesh has ", welded,

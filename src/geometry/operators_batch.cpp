@@ -4,7 +4,7 @@
 
 #include "freetalk/core/error.h"
 #include "freetalk/geometry/operators.h"
-#include "freetalk/geometry/weld.h"
+#include "freetalk/mesh/weld.h"
 #include "operators_faces.h"
 
 namespace freetalk::geometry {
@@ -15,7 +15,7 @@ void attach_faces(SurfaceOperators& operators, const Eigen::MatrixXd& vertices,
   operators.on_faces = core::defer([vertices, faces, welded] {
     return face_operators(
         vertices, faces,
-        welded ? weld(vertices, faces, "coincident").vertex_of : Eigen::VectorXi());
+        welded ? mesh::weld(vertices, faces, "coincident").vertex_of : Eigen::VectorXi());
   });
 }
 

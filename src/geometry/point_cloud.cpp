@@ -1,6 +1,5 @@
 // Local triangulations of point clouds, with the tolerances of `robust_laplacian`, so that both
 // find the same triangles.
-#include <ATen/Parallel.h>
 #include <Eigen/Geometry>
 #include <Eigen/SVD>
 
@@ -13,7 +12,8 @@
 
 #include "freetalk/core/error.h"
 #include "freetalk/geometry/robust_laplacian.h"
-#include "nearest_points.h"
+#include "mesh/nearest_points.h"
+#include "core/parallel.h"
 
 namespace freetalk::geometry {
 namespace {
@@ -160,10 +160,10 @@ PointCloudTriangles triangulate_point_cloud(const Eigen::MatrixXd& points, int64
                  "num_neighbors must be between 3 and the number of points less one, found ",
                  num_neighbors, " for ", count, " points");
   PointCloudTriangles cloud;
-  cloud.neighbors = nearest_points(points, static_cast<int>(num_neighbors));
+  cloud.neighbors = mesh::nearest_points(points, static_cast<int>(num_neighbors));
   cloud.normals.resize(count, 3);
   std::vector<std::vector<std::array<size_t, 2>>> stars(static_cast<size_t>(count));
-  at::parallel_for(0, count, 128, [&](int64_t begin, int64_t end) {
+  core::parallel_for(0, count, 128, [&](int64_t begin, int64_t end) {
     for (int64_t v = begin; v < end; ++v) {
       const Eigen::Vector3d normal = plane_normal(points, cloud.neighbors, v, fit);
       cloud.normals.row(v) = normal;

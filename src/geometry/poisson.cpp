@@ -1,4 +1,6 @@
 #include "freetalk/geometry/poisson.h"
+#include "freetalk/mesh/components.h"
+#include "freetalk/mesh/normals.h"
 
 #include <ATen/ATen.h>
 
@@ -145,12 +147,12 @@ FaceOperators face_operators(const Eigen::MatrixXd& vertices, const Eigen::Matri
     const Eigen::VectorXi first = first_of_welded(vertex_of);
     joined = joined.unaryExpr([&](int v) { return first[vertex_of[v]]; });
   }
-  Eigen::VectorXi components = connected_components(num_vertices, joined);
+  Eigen::VectorXi components = mesh::connected_components(num_vertices, joined);
   if (vertex_of.size() > 0) {
     const Eigen::VectorXi first = first_of_welded(vertex_of);
     components = Eigen::VectorXi(components(Eigen::VectorXi(first(vertex_of))));
   }
-  const Eigen::VectorXd areas = face_areas(vertices, faces);
+  const Eigen::VectorXd areas = mesh::face_areas(vertices, faces);
   const RowSparseMatrix transposed = gradient.transpose();
   const Eigen::VectorXd weights = areas.replicate(2, 1);
   FaceOperators result;

@@ -6,17 +6,18 @@
 #include "freetalk/core/error.h"
 #include "freetalk/geometry/alignment.h"
 #include "freetalk/geometry/surface.h"
+#include "freetalk/mesh/normals.h"
 
 namespace freetalk::geometry {
 
 SurfaceSamples sample_surface(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
                               int64_t num_points, uint64_t seed) {
   FREETALK_CHECK(num_points >= 1, "num_points must be at least 1, found ", num_points);
-  const Eigen::VectorXd areas = face_areas(vertices, faces);
+  const Eigen::VectorXd areas = mesh::face_areas(vertices, faces);
   const double total = areas.sum();
   FREETALK_CHECK(std::isfinite(total) && total > 0.0,
                  "a surface to sample needs faces with an area; all faces have zero area");
-  const Eigen::MatrixXd normals = vertex_normals(vertices, faces);
+  const Eigen::MatrixXd normals = mesh::vertex_normals(vertices, faces);
   std::mt19937_64 generator(seed);
   const auto uniform = [&generator] { return static_cast<double>(generator() >> 11) * 0x1.0p-53; };
   // R2 sequence (Roberts): steps of the plastic number fill the unit square evenly.

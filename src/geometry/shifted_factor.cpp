@@ -28,7 +28,7 @@ void ShiftedFactor::solve(TallBlock& x) const {
   const SparseMatrix& lower = factor_.matrixL().nestedExpression();
   const UnitLower view{lower.cols(), lower.outerIndexPtr(), lower.innerIndexPtr(),
                        lower.valuePtr()};
-  const BlockKernels& kernels = block_kernels();
+  const BlockKernels& kernels = kernels::block_kernels();
   kernels.solve_lower(view, x.data());
   kernels.solve_upper(view, inverse_pivots_.data(), x.data());
 }

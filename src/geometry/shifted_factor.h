@@ -6,10 +6,15 @@
 
 #include <cstdint>
 
-#include "block_kernels.h"
 #include "freetalk/geometry/surface.h"
+#include "kernels/block_kernels.h"
 
 namespace freetalk::geometry {
+
+using kernels::BlockKernels;
+using kernels::kBlockWidth;
+using kernels::TallBlock;
+using kernels::UnitLower;
 
 class ShiftedFactor {
  public:

@@ -5,13 +5,13 @@
 #include <Eigen/Core>
 
 #include "freetalk/geometry/alignment.h"
-#include "kd_tree.h"
+#include "mesh/kd_tree.h"
 
 namespace freetalk::geometry {
 
 struct IcpProblem {
-  const KdTree& source;    ///< the mesh, its own frame
-  const KdTree& target;    ///< the template, metres
+  const mesh::KdTree& source;    ///< the mesh, its own frame
+  const mesh::KdTree& target;    ///< the template, metres
   double target_spacing;   ///< mean distance between neighbouring template points
   double scale_prior = 0;  ///< expected scale, 0 for none
 };

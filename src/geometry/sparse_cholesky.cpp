@@ -1,12 +1,11 @@
 #include "freetalk/geometry/sparse_cholesky.h"
 
-#include <ATen/Parallel.h>
-
 #include <Eigen/SparseCholesky>
 #include <algorithm>
 #include <vector>
 
 #include "freetalk/core/error.h"
+#include "core/parallel.h"
 
 namespace freetalk::geometry {
 namespace {
@@ -97,7 +96,7 @@ void SparseCholesky::refactor(const SparseMatrix& matrix) {
 void SparseCholesky::solve(double* x, int64_t num_columns) const {
   const int64_t count = static_cast<int64_t>(factor_->order.size());
   const int64_t blocks = (num_columns + kBlock - 1) / kBlock;
-  at::parallel_for(0, blocks, 1, [&](int64_t begin, int64_t end) {
+  core::parallel_for(0, blocks, 1, [&](int64_t begin, int64_t end) {
     std::vector<double> work(static_cast<size_t>(count * kBlock), 0.0);
     for (int64_t block = begin; block < end; ++block) {
       const int64_t first = block * kBlock, width = std::min(kBlock, num_columns - first);

@@ -7,18 +7,10 @@
 #include <cstring>
 #include <numeric>
 
-#include "mean_normals.h"
+#include "freetalk/mesh/normals.h"
 
 namespace freetalk::geometry {
 namespace {
-
-Eigen::Vector3d area_vector(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
-                            Eigen::Index face) {
-  const Eigen::Vector3d a = vertices.row(faces(face, 0));
-  const Eigen::Vector3d b = vertices.row(faces(face, 1));
-  const Eigen::Vector3d c = vertices.row(faces(face, 2));
-  return (b - a).cross(c - a);
-}
 
 /// Neighbours of each vertex over the edges of the faces, sorted, without itself: offsets and
 /// indices.
@@ -64,91 +56,12 @@ double guarded_cotangent(double dot, double double_area, double longest_squared,
 
 }  // namespace
 
-Eigen::VectorXd face_areas(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces) {
-  Eigen::VectorXd areas(faces.rows());
-  for (Eigen::Index f = 0; f < faces.rows(); ++f) {
-    areas[f] = 0.5 * area_vector(vertices, faces, f).norm();
-  }
-  return areas;
-}
-
-Eigen::MatrixXd face_normals(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces) {
-  Eigen::MatrixXd normals(faces.rows(), 3);
-  for (Eigen::Index f = 0; f < faces.rows(); ++f) {
-    normals.row(f) = area_vector(vertices, faces, f).stableNormalized();
-  }
-  return normals;
-}
-
-Eigen::MatrixXd mean_normals(const Eigen::MatrixXd& of_faces, const Eigen::MatrixXi& faces,
-                             Eigen::Index num_vertices) {
-  Eigen::MatrixXd normals = Eigen::MatrixXd::Zero(num_vertices, 3);
-  for (Eigen::Index f = 0; f < faces.rows(); ++f) {
-    for (int c = 0; c < 3; ++c) normals.row(faces(f, c)) += of_faces.row(f);
-  }
-  for (Eigen::Index v = 0; v < normals.rows(); ++v) {
-    const double norm = normals.row(v).norm();
-    constexpr double kCancelled = 1e-9;  // Opposite faces: what is left is rounding.
-    if (norm > kCancelled) {
-      normals.row(v) /= norm;
-    } else {
-      normals.row(v) = Eigen::RowVector3d::UnitZ();
-    }
-  }
-  return normals;
-}
-
-Eigen::MatrixXd vertex_normals(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces) {
-  return mean_normals(face_normals(vertices, faces), faces, vertices.rows());
-}
-
-Eigen::VectorXi connected_components(int64_t num_vertices, const Eigen::MatrixXi& faces) {
-  std::vector<int> parent(static_cast<size_t>(num_vertices));
-  std::iota(parent.begin(), parent.end(), 0);
-  const auto root = [&parent](int v) {
-    while (parent[v] != v) v = parent[v] = parent[parent[v]];
-    return v;
-  };
-  for (Eigen::Index f = 0; f < faces.rows(); ++f) {
-    for (int c = 1; c < 3; ++c) {
-      const int a = root(faces(f, 0));
-      const int b = root(faces(f, c));
-      parent[std::max(a, b)] = std::min(a, b);
-    }
-  }
-  Eigen::VectorXi labels(num_vertices);
-  int count = 0;
-  for (int v = 0; v < static_cast<int>(num_vertices); ++v) {
-    const int r = root(v);  // r <= v, so its label is set.
-    labels[v] = r == v ? count++ : labels[r];
-  }
-  return labels;
-}
-
-Eigen::VectorXi coincident_vertices(const Eigen::MatrixXd& vertices) {
-  std::vector<int> order(static_cast<size_t>(vertices.rows()));
-  std::iota(order.begin(), order.end(), 0);
-  const auto less = [&vertices](int a, int b) {
-    for (int c = 0; c < 3; ++c) {
-      if (vertices(a, c) != vertices(b, c)) return vertices(a, c) < vertices(b, c);
-    }
-    return a < b;
-  };
-  std::sort(order.begin(), order.end(), less);
-  Eigen::VectorXi first(vertices.rows());
-  for (size_t i = 0; i < order.size(); ++i) {
-    const bool same = i > 0 && vertices.row(order[i]) == vertices.row(order[i - 1]);
-    first[order[i]] = same ? first[order[i - 1]] : order[i];
-  }
-  return first;
-}
-
 SparseMatrix cotan_laplacian(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
                              Regularization regularization) {
   std::vector<Eigen::Triplet<double>> entries;
   entries.reserve(static_cast<size_t>(faces.rows()) * 12);
   for (Eigen::Index f = 0; f < faces.rows(); ++f) {
-    const double double_area = area_vector(vertices, faces, f).norm();
+    const double double_area = mesh::area_vector(vertices, faces, f).norm();
     double longest_squared = 0.0;
     for (int c = 0; c < 3; ++c) {
       const Eigen::RowVector3d edge =
@@ -174,7 +87,7 @@ SparseMatrix cotan_laplacian(const Eigen::MatrixXd& vertices, const Eigen::Matri
 }
 
 Eigen::VectorXd lumped_mass(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces) {
-  const Eigen::VectorXd areas = face_areas(vertices, faces);
+  const Eigen::VectorXd areas = mesh::face_areas(vertices, faces);
   Eigen::VectorXd mass = Eigen::VectorXd::Zero(vertices.rows());
   for (Eigen::Index f = 0; f < faces.rows(); ++f) {
     for (int c = 0; c < 3; ++c) mass[faces(f, c)] += areas[f] / 3.0;

@@ -1,4 +1,4 @@
-#include "freetalk/nn/fused_diffusion.h"
+#include "nn/fused_diffusion.h"
 
 #include <algorithm>
 
@@ -28,17 +28,17 @@ bool FusedDiffusion::supports(DiffusionNetImpl& net, const geometry::SurfaceOper
          all_float_on_cpu(net, operators);
 }
 
-bool FusedDiffusion::supports_bfloat16() { return fused::bfloat16_kernels() != nullptr; }
+bool FusedDiffusion::supports_bfloat16() { return kernels::bfloat16_kernels() != nullptr; }
 
 FusedDiffusion::FusedDiffusion(DiffusionNetImpl& net, const geometry::SurfaceOperators& operators,
                                const at::Tensor& base, const at::Tensor& queries, bool bfloat16) {
   FREETALK_CHECK(supports(net, operators),
                  "FusedDiffusion: this network or these operators need the general forward pass");
   if (bfloat16 && supports_bfloat16()) {
-    engine_ = std::make_unique<fused::FusedEngine<uint16_t>>(*fused::bfloat16_kernels(), net,
+    engine_ = std::make_unique<fused::FusedEngine<uint16_t>>(*kernels::bfloat16_kernels(), net,
                                                              operators, base, queries);
   } else {
-    engine_ = std::make_unique<fused::FusedEngine<float>>(fused::float_kernels(), net, operators,
+    engine_ = std::make_unique<fused::FusedEngine<float>>(kernels::float_kernels(), net, operators,
                                                           base, queries);
   }
 }

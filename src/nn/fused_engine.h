@@ -1,7 +1,6 @@
 // The decoder of fused_diffusion.h in one element type.
 #pragma once
 
-#include <ATen/Parallel.h>
 #include <torch/torch.h>
 
 #include <algorithm>
@@ -11,10 +10,11 @@
 #include <utility>
 #include <vector>
 
-#include "freetalk/nn/fused_diffusion.h"
-#include "fused_kernels.h"
+#include "nn/fused_diffusion.h"
+#include "kernels/fused_kernels.h"
 #include "fused_layout.h"
 #include "mesh_rows.h"
+#include "core/parallel.h"
 
 namespace freetalk::nn {
 
@@ -26,6 +26,12 @@ class FusedDiffusion::Engine {
 };
 
 namespace fused {
+
+using kernels::Epilogue;
+using kernels::GradientRows;
+using kernels::Kernels;
+using kernels::kTile;
+using kernels::Segment;
 
 inline constexpr int64_t kEigenBlock = 8;  // the accumulation kernel's rows
 inline constexpr int64_t kMaxKeys = 128;   // the softmax kernel's work space
@@ -58,7 +64,7 @@ class FusedEngine final : public FusedDiffusion::Engine {
                                inputs.keys.defined() ? plain(inputs.keys) : inputs.keys,
                                inputs.values.defined() ? plain(inputs.values) : inputs.values};
     std::atomic<int64_t> next{0};  // A thread that something else slows down takes fewer frames.
-    at::parallel_for(0, std::min(in_work, num_frames), 1, [&](int64_t begin, int64_t end) {
+    core::parallel_for(0, std::min(in_work, num_frames), 1, [&](int64_t begin, int64_t end) {
       for (int64_t worker = begin; worker < end; ++worker) {
         Work work(*this, prepared);
         for (int64_t frame = next++; frame < num_frames; frame = next++) {

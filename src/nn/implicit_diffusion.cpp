@@ -1,6 +1,5 @@
 #include "freetalk/nn/implicit_diffusion.h"
 
-#include <ATen/Parallel.h>
 #include <torch/custom_class.h>
 #include <torch/torch.h>
 
@@ -8,6 +7,7 @@
 
 #include "freetalk/core/error.h"
 #include "freetalk/geometry/sparse_cholesky.h"
+#include "core/parallel.h"
 
 namespace freetalk::nn {
 namespace {
@@ -45,7 +45,7 @@ struct System : torch::CustomClassHolder {
     at::Tensor result = x.clone(at::MemoryFormat::Contiguous);
     const at::Tensor times = time.contiguous();
     const int64_t size = x.size(1) * x.size(2);
-    at::parallel_for(0, x.size(0), 1, [&](int64_t begin, int64_t end) {
+    core::parallel_for(0, x.size(0), 1, [&](int64_t begin, int64_t end) {
       std::unique_ptr<geometry::SparseCholesky> factor;
       for (int64_t channel = begin; channel < end; ++channel) {
         SparseMatrix matrix = times.const_data_ptr<double>()[channel] * laplacian;

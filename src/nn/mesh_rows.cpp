@@ -6,7 +6,7 @@
 #include <array>
 #include <utility>
 
-#include "freetalk/geometry/kd_order.h"
+#include "mesh/kd_order.h"
 
 namespace freetalk::nn {
 namespace {
@@ -21,7 +21,7 @@ std::vector<int> local_order(const at::Tensor& evecs) {
     coordinates.row(axis) = Eigen::Map<const Eigen::RowVectorXd>(
         chosen[axis].const_data_ptr<double>(), coordinates.cols());
   }
-  return geometry::KdOrder(coordinates).points;
+  return mesh::KdOrder(coordinates).points;
 }
 
 using Entry = std::pair<int32_t, std::array<float, 2>>;

@@ -1,10 +1,10 @@
 #include "freetalk/nn/sparse.h"
 
-#include <ATen/Parallel.h>
 #include <torch/csrc/autograd/custom_function.h>
 #include <torch/torch.h>
 
 #include "freetalk/core/error.h"
+#include "core/parallel.h"
 
 namespace freetalk::nn {
 namespace {
@@ -43,7 +43,7 @@ void cpu_product(const at::Tensor& matrix, const at::Tensor& x, at::Tensor& y) {
   const T* value_data = values.const_data_ptr<T>();
   const T* x_data = x.const_data_ptr<T>();
   T* y_data = y.data_ptr<T>();
-  at::parallel_for(0, x.size(0) * num_rows, 512, [&](int64_t begin, int64_t end) {
+  core::parallel_for(0, x.size(0) * num_rows, 512, [&](int64_t begin, int64_t end) {
     for (int64_t index = begin; index < end; ++index) {
       const int64_t row = index % num_rows, first = row_data[row];
       row_product(value_data + first, column_data + first, row_data[row + 1] - first,

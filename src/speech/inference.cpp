@@ -1,6 +1,5 @@
 #include "inference.h"
 
-#include <ATen/Parallel.h>
 #include <torch/torch.h>
 
 #include <algorithm>
@@ -8,6 +7,7 @@
 
 #include "fast_scope.h"
 #include "layers.h"
+#include "core/parallel.h"
 
 namespace freetalk::speech {
 namespace {
@@ -152,7 +152,7 @@ at::Tensor InferenceEncoder::attend(const Layer& layer, const at::Tensor& x,
   int64_t first = 0;
   for (const int64_t length : lengths) {
     // Heads side by side, each on one thread: no waiting for one another within a layer.
-    at::parallel_for(0, options_.num_attention_heads, 1, [&](int64_t begin, int64_t end) {
+    core::parallel_for(0, options_.num_attention_heads, 1, [&](int64_t begin, int64_t end) {
       const FastScope scope;
       for (int64_t head = begin; head < end; ++head) {
         const auto part = [&](const at::Tensor& y) {

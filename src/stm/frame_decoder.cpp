@@ -8,6 +8,7 @@
 
 #include "freetalk/core/error.h"
 #include "freetalk/nn/diffusion_net.h"
+#include "nn/fused_diffusion.h"
 
 namespace freetalk::stm {
 namespace {
@@ -60,6 +61,8 @@ FrameDecoder::FrameDecoder(std::shared_ptr<StmImpl> model, const MeshFeatures& m
   }
   choose_chunk();
 }
+
+FrameDecoder::~FrameDecoder() = default;
 
 void FrameDecoder::choose_chunk() {
   const int64_t vertices = operators_.num_vertices();

@@ -16,7 +16,7 @@
 #include "freetalk/core/error.h"
 #include "freetalk/core/options.h"
 #include "freetalk/core/random.h"
-#include "freetalk/core/scratch.h"
+#include "core/scratch.h"
 #include "freetalk/geometry/operators.h"
 #include "freetalk/speech/features.h"
 #include "freetalk/talker/blinks.h"
@@ -225,20 +225,20 @@ Talker::Talker(TalkerModels models, c10::Device device)
   models_.stm->eval();
 }
 
-geometry::Alignment Talker::align(const geometry::Mesh& mesh,
+geometry::Alignment Talker::align(const mesh::Mesh& mesh,
                                   const geometry::AlignOptions& options) const {
   return geometry::align_to_template(mesh.vertices, mesh.faces, models_.face.points,
                                      models_.face.normals, options);
 }
 
-animation::Animation Talker::animate(const audio::Audio& audio, const geometry::Mesh& mesh,
+animation::Animation Talker::animate(const audio::Audio& audio, const mesh::Mesh& mesh,
                                      const TalkerOptions& options, const Progress& progress,
                                      Report* report) {
   return animate_many(audio, mesh, {options.seed}, options, progress, report).front();
 }
 
 std::vector<animation::Animation> Talker::animate_many(const audio::Audio& audio,
-                                                       const geometry::Mesh& mesh,
+                                                       const mesh::Mesh& mesh,
                                                        const std::vector<int64_t>& seeds,
                                                        const TalkerOptions& options,
                                                        const Progress& progress, Report* report) {

@@ -3,15 +3,16 @@
 #include <iostream>
 
 #include "freetalk/audio/audio.h"
-#include "freetalk/geometry/mesh.h"
+#include "freetalk/mesh/mesh.h"
 #include "freetalk/geometry/surface.h"
+#include "freetalk/mesh/normals.h"
 #include "freetalk/talker/talker.h"
 
 namespace {
 
 int run(const std::string& mesh_path, const std::string& audio_path, const std::string& out_path) {
-  const auto mesh = freetalk::geometry::load_mesh(mesh_path);
-  const auto normals = freetalk::geometry::vertex_normals(mesh.vertices, mesh.faces);
+  const auto mesh = freetalk::mesh::load_mesh(mesh_path);
+  const auto normals = freetalk::mesh::vertex_normals(mesh.vertices, mesh.faces);
   std::cout << "vertices " << mesh.num_vertices() << "\n"
             << "normals_unit " << (normals.rowwise().norm().array() - 1.0).abs().maxCoeff() << "\n";
 

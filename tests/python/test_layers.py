@@ -14,18 +14,20 @@ ROOT = Path(__file__).resolve().parents[2]
 ROOMS: dict[str, set[str]] = {
     "core": set(),
     "audio": {"core"},
-    "geometry": {"core"},
-    "nn": {"core", "geometry"},
-    "speech": {"core", "audio", "nn"},
+    "kernels": {"core"},
+    "mesh": {"core"},
+    "geometry": {"core", "kernels", "mesh"},
+    "nn": {"core", "kernels", "mesh", "geometry"},
+    "speech": {"core", "audio", "kernels", "nn"},
     "diffusion": {"core"},
-    "ats": {"core", "speech", "diffusion", "nn"},
-    "stm": {"core", "nn", "geometry"},
+    "ats": {"core", "speech", "diffusion", "kernels", "nn"},
+    "stm": {"core", "kernels", "nn", "geometry"},
     "facetalk": {"core", "speech", "diffusion", "nn", "geometry"},
     "metrics": {"core"},
-    "animation": {"core", "audio", "geometry"},
+    "animation": {"core", "audio", "mesh", "geometry"},
     "talker": {
-        "core", "audio", "geometry", "nn", "speech", "diffusion", "ats", "stm", "facetalk", "metrics",
-        "animation",
+        "core", "audio", "mesh", "geometry", "nn", "speech", "diffusion", "ats", "stm", "facetalk",
+        "metrics", "animation",
     },
 }  # fmt: skip
 

@@ -12,7 +12,7 @@
 #include <string>
 
 #include "freetalk/audio/audio.h"
-#include "freetalk/geometry/mesh.h"
+#include "freetalk/mesh/mesh.h"
 
 namespace freetalk::animation {
 
@@ -46,7 +46,7 @@ struct SaveReport {
 };
 
 struct Animation {
-  geometry::Mesh mesh;
+  mesh::Mesh mesh;
   at::Tensor displacements;  // (T, V, 3) float32, in the mesh's own unit and axes; frame t is shown
                              // at t / fps
   double fps = 30.0;

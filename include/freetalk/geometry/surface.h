@@ -1,5 +1,4 @@
-// Quantities of triangle meshes: normals, areas, components, cotangent Laplacian, lumped mass,
-// gradient. V (V, 3) double, F (F, 3) int throughout; faces may be degenerate, repeated,
+// Operators of triangle meshes: cotangent Laplacian, lumped mass, gradient. V (V, 3) double, F (F, 3) int throughout; faces may be degenerate, repeated,
 // non-manifold; vertices unreferenced.
 #pragma once
 
@@ -20,23 +19,6 @@ enum class Regularization {
   kAbsolute,  ///< The absolute constants of the public `diffusion_net` package (1e-10 in
               ///< cotangents, 1e-5 in gradients, 1e-6 in operators' normals): parity with it.
 };
-
-/// (F,) areas.
-Eigen::VectorXd face_areas(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces);
-
-/// (F, 3) unit normals; zero for degenerate faces.
-Eigen::MatrixXd face_normals(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces);
-
-/// (V, 3) unit normals, the unweighted mean of the unit normals of the faces around; +Z where there
-/// is none.
-Eigen::MatrixXd vertex_normals(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces);
-
-/// (V,) component of each vertex, numbered in order of first vertex; an unreferenced vertex is its
-/// own.
-Eigen::VectorXi connected_components(int64_t num_vertices, const Eigen::MatrixXi& faces);
-
-/// (V,) for each vertex the first one at the same position (itself if there is none before).
-Eigen::VectorXi coincident_vertices(const Eigen::MatrixXd& vertices);
 
 /// (V, V) cotangent Laplacian, positive semi-definite: L_ij = -(cot a_ij + cot b_ij) / 2, rows sum
 /// to zero.

@@ -6,6 +6,10 @@
 
 #include "freetalk/stm/stm.h"
 
+namespace freetalk::nn {
+class FusedDiffusion;
+}
+
 namespace freetalk::stm {
 
 /// decode() without gradients. DiffusionNet decoders in float32 on a CPU go through fused kernels
@@ -15,6 +19,7 @@ class FrameDecoder {
   /// Changes of the model after this may or may not reach the decoder: make another.
   FrameDecoder(std::shared_ptr<StmImpl> model, const MeshFeatures& mesh,
                const geometry::SurfaceOperators& operators, const DecodeOptions& options = {});
+  ~FrameDecoder();
 
   /// Memory grows with the chunk, not with T.
   /// @param landmarks (T, 68, 3) displacements, metres.

@@ -22,7 +22,7 @@
 #include <string>
 
 #include "freetalk/geometry/operators.h"
-#include "freetalk/nn/fused_diffusion.h"
+#include "freetalk/nn/frame_inputs.h"
 #include "freetalk/nn/landmark_graph.h"
 #include "freetalk/nn/surface_net.h"
 

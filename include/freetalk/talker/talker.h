@@ -20,7 +20,7 @@
 #include "freetalk/ats/generate.h"
 #include "freetalk/audio/audio.h"
 #include "freetalk/geometry/alignment.h"
-#include "freetalk/geometry/mesh.h"
+#include "freetalk/mesh/mesh.h"
 #include "freetalk/speech/encoder.h"
 #include "freetalk/stm/stm.h"
 
@@ -117,7 +117,7 @@ class Talker {
   /// a notice.
   /// @param report filled if given.
   /// @throws std::invalid_argument for options out of range, an unknown emotion, no samples.
-  animation::Animation animate(const audio::Audio& audio, const geometry::Mesh& mesh,
+  animation::Animation animate(const audio::Audio& audio, const mesh::Mesh& mesh,
                                const TalkerOptions& options = {}, const Progress& progress = {},
                                Report* report = nullptr);
 
@@ -125,11 +125,11 @@ class Talker {
   /// is prepared once. @param seeds take the place of options.seed. @returns one animation a seed,
   /// equal to that of animate() up to rounding.
   std::vector<animation::Animation> animate_many(
-      const audio::Audio& audio, const geometry::Mesh& mesh, const std::vector<int64_t>& seeds,
+      const audio::Audio& audio, const mesh::Mesh& mesh, const std::vector<int64_t>& seeds,
       const TalkerOptions& options = {}, const Progress& progress = {}, Report* report = nullptr);
 
   /// How the mesh lies relative to the canonical frame.
-  geometry::Alignment align(const geometry::Mesh& mesh,
+  geometry::Alignment align(const mesh::Mesh& mesh,
                             const geometry::AlignOptions& options = {}) const;
 
   const std::vector<std::string>& emotions() const { return models_.ats->options().emotions; }

@@ -5,7 +5,7 @@
 
 #include "freetalk/animation/animation.h"
 #include "freetalk/core/file.h"
-#include "freetalk/core/scratch.h"
+#include "core/scratch.h"
 #include "scratch.h"
 
 namespace freetalk::animation {
@@ -79,7 +79,7 @@ TEST(Sequence, WritesOneMeshPerFrameAndRemovesOlderFrames) {
   const auto report = animation.save(folder / "frames/*.obj");
   EXPECT_EQ(report.num_files, 3);
   EXPECT_EQ(folder.count(), 4);  // the folder and three frames: nothing temporary is left
-  const auto last = geometry::load_mesh(folder / "frames/frame_00002.obj");
+  const auto last = mesh::load_mesh(folder / "frames/frame_00002.obj");
   EXPECT_EQ(last.polygons, animation.mesh.polygons);
   EXPECT_EQ(last.polygon_texcoords, animation.mesh.polygon_texcoords);
   // OBJ is text: positions come back to the digits that are written.

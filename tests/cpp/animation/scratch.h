@@ -36,12 +36,12 @@ class ScratchFolder {
 };
 
 /// Two quads side by side whose shared edge is a texture seam.
-inline geometry::Mesh seam_mesh() {
+inline mesh::Mesh seam_mesh() {
   Eigen::MatrixXd vertices(6, 3);
   vertices << 0, 0, 0, 1, 0, 0, 2, 0, 0, 0, 1, 0, 1, 1, 0, 2, 1, 0;
   Eigen::MatrixXd texcoords(8, 2);
   texcoords << 0, 0, 0.4, 0, 0.4, 1, 0, 1, 0.6, 0, 1, 0, 1, 1, 0.6, 1;
-  return geometry::make_mesh(vertices, {{0, 1, 4, 3}, {1, 2, 5, 4}}, texcoords,
+  return mesh::make_mesh(vertices, {{0, 1, 4, 3}, {1, 2, 5, 4}}, texcoords,
                              {{0, 1, 2, 3}, {4, 5, 6, 7}}, "two quads");
 }
 

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "freetalk/ats/generate.h"
-#include "freetalk/ats/inference.h"
+#include "ats/inference.h"
 #include "freetalk/core/random.h"
 
 namespace freetalk::ats {

@@ -9,7 +9,7 @@
 #include "freetalk/core/options.h"
 #include "freetalk/core/random.h"
 #include "freetalk/core/safetensors.h"
-#include "freetalk/core/scratch.h"
+#include "core/scratch.h"
 
 namespace freetalk::core {
 namespace {

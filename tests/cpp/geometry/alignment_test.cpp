@@ -2,7 +2,7 @@
 
 #include <gtest/gtest.h>
 
-#include "shapes.h"
+#include "../mesh/shapes.h"
 
 namespace freetalk::geometry {
 namespace {

@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "freetalk/geometry/surface.h"
-#include "shapes.h"
+#include "../mesh/shapes.h"
 
 namespace freetalk::geometry {
 namespace {

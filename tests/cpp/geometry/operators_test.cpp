@@ -9,7 +9,7 @@
 #include "freetalk/core/file.h"
 #include "freetalk/geometry/eigenbasis.h"
 #include "freetalk/geometry/surface.h"
-#include "shapes.h"
+#include "../mesh/shapes.h"
 
 namespace freetalk::geometry {
 namespace {

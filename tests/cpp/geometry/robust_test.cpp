@@ -7,7 +7,8 @@
 #include <random>
 
 #include "freetalk/geometry/operators.h"
-#include "shapes.h"
+#include "freetalk/mesh/normals.h"
+#include "../mesh/shapes.h"
 
 namespace freetalk::geometry {
 namespace {
@@ -50,7 +51,7 @@ TEST(RobustLaplacian, EqualsTheCotangentLaplacianOfADelaunayMesh) {
   const LaplacianAndMass robust = robust_laplacian(shape.vertices, shape.faces);
   const SparseMatrix cotan = cotan_laplacian(shape.vertices, shape.faces);
   EXPECT_LT((robust.laplacian - cotan).norm(), 1e-12 * cotan.norm());  // The same sums, rounded.
-  EXPECT_NEAR(robust.mass.sum(), face_areas(shape.vertices, shape.faces).sum(), 1e-12);
+  EXPECT_NEAR(robust.mass.sum(), mesh::face_areas(shape.vertices, shape.faces).sum(), 1e-12);
 }
 
 TEST(RobustLaplacian, IsALaplacianOfAnyTriangles) {

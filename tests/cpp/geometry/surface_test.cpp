@@ -1,10 +1,12 @@
 #include "freetalk/geometry/surface.h"
+#include "freetalk/mesh/components.h"
+#include "freetalk/mesh/normals.h"
 
 #include <gtest/gtest.h>
 
 #include <random>
 
-#include "shapes.h"
+#include "../mesh/shapes.h"
 
 namespace freetalk::geometry {
 namespace {
@@ -16,14 +18,14 @@ using testing::sphere;
 
 TEST(LumpedMass, SumsToTheArea) {
   const Shape shape = grid(9, 2.0, 3.0);
-  EXPECT_NEAR(face_areas(shape.vertices, shape.faces).sum(), 6.0, 1e-12);
+  EXPECT_NEAR(mesh::face_areas(shape.vertices, shape.faces).sum(), 6.0, 1e-12);
   // 1e-8 of the mean mass is added to every vertex.
   EXPECT_NEAR(lumped_mass(shape.vertices, shape.faces).sum(), 6.0, 6.0 * 2e-8);
 }
 
 TEST(VertexNormals, PointOutOfASphere) {
   const Shape shape = sphere(3);
-  const Eigen::MatrixXd normals = vertex_normals(shape.vertices, shape.faces);
+  const Eigen::MatrixXd normals = mesh::vertex_normals(shape.vertices, shape.faces);
   for (Eigen::Index v = 0; v < normals.rows(); ++v) {
     EXPECT_GT(normals.row(v).dot(shape.vertices.row(v)), 0.99);
   }
@@ -32,7 +34,7 @@ TEST(VertexNormals, PointOutOfASphere) {
 TEST(ConnectedComponents, CountsPartsAndLooseVertices) {
   Shape shape = join(sphere(1), grid(3));
   shape.vertices.conservativeResize(shape.vertices.rows() + 1, 3);
-  const Eigen::VectorXi labels = connected_components(shape.vertices.rows(), shape.faces);
+  const Eigen::VectorXi labels = mesh::connected_components(shape.vertices.rows(), shape.faces);
   EXPECT_EQ(labels.maxCoeff(), 2);
   EXPECT_EQ(labels[0], 0);
   EXPECT_EQ(labels[18], 1);
@@ -70,7 +72,7 @@ TEST(CotanLaplacian, StaysFiniteAndPositiveOnDegenerateFaces) {
 
 TEST(TangentFrames, AreRightHandedAndOrthonormal) {
   const Shape shape = sphere(2);
-  const Eigen::MatrixXd normals = vertex_normals(shape.vertices, shape.faces);
+  const Eigen::MatrixXd normals = mesh::vertex_normals(shape.vertices, shape.faces);
   const Eigen::MatrixXd frames = tangent_frames(normals);
   for (Eigen::Index v = 0; v < frames.rows(); ++v) {
     const Eigen::Matrix3d frame = Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(
@@ -84,7 +86,7 @@ TEST(TangentFrames, AreRightHandedAndOrthonormal) {
 TEST(VertexGradient, IsExactForLinearFunctionsInThePlaneAtAnyScale) {
   for (const double size : {1e-3, 1.0, 1e3}) {
     const Shape shape = grid(6, size, 2.0 * size);
-    const Eigen::MatrixXd frames = tangent_frames(vertex_normals(shape.vertices, shape.faces));
+    const Eigen::MatrixXd frames = tangent_frames(mesh::vertex_normals(shape.vertices, shape.faces));
     const RowSparseMatrix gradient = vertex_gradient(shape.vertices, shape.faces, frames);
     const Eigen::VectorXd linear = 3.0 * shape.vertices.col(0) - 2.0 * shape.vertices.col(1);
     const Eigen::VectorXd result = gradient * linear;
@@ -98,7 +100,7 @@ TEST(VertexGradient, OfConstantsIsZeroAndOfLooseVerticesToo) {
   Shape shape = sphere(2);
   shape.vertices.conservativeResize(shape.vertices.rows() + 1, 3);
   shape.vertices.bottomRows(1).setZero();
-  const Eigen::MatrixXd frames = tangent_frames(vertex_normals(shape.vertices, shape.faces));
+  const Eigen::MatrixXd frames = tangent_frames(mesh::vertex_normals(shape.vertices, shape.faces));
   const RowSparseMatrix gradient = vertex_gradient(shape.vertices, shape.faces, frames);
   const Eigen::VectorXd ones = Eigen::VectorXd::Ones(shape.vertices.rows());
   EXPECT_LT((gradient * ones).cwiseAbs().maxCoeff(), 1e-10);

@@ -1,4 +1,4 @@
-#include "freetalk/geometry/weld.h"
+#include "freetalk/mesh/weld.h"
 
 #include <gtest/gtest.h>
 
@@ -6,7 +6,8 @@
 
 #include "freetalk/geometry/operators.h"
 #include "freetalk/geometry/surface.h"
-#include "shapes.h"
+#include "freetalk/mesh/components.h"
+#include "../mesh/shapes.h"
 
 namespace freetalk::geometry {
 namespace {
@@ -47,16 +48,16 @@ Shape torn(const Shape& shape, int step, double shift) {
 
 TEST(Weld, MakesASurfaceOfATriangleSoup) {
   const Shape shape = sphere(2);
-  const WeldedSurface welded = weld(soup(shape).vertices, soup(shape).faces, "coincident");
+  const mesh::WeldedSurface welded = mesh::weld(soup(shape).vertices, soup(shape).faces, "coincident");
   EXPECT_EQ(welded.vertices.rows(), shape.vertices.rows());
   EXPECT_EQ(welded.faces.rows(), shape.faces.rows());
-  EXPECT_EQ(connected_components(welded.vertices.rows(), welded.faces).maxCoeff(), 0);
+  EXPECT_EQ(mesh::connected_components(welded.vertices.rows(), welded.faces).maxCoeff(), 0);
 }
 
 TEST(Weld, LaysTornFacesBackWhereTheyWere) {
   const Shape shape = sphere(3);
   const Shape broken = torn(shape, 17, 1e-3);
-  const WeldedSurface welded = weld(broken.vertices, broken.faces, "fragments");
+  const mesh::WeldedSurface welded = mesh::weld(broken.vertices, broken.faces, "fragments");
   EXPECT_EQ(welded.vertices, shape.vertices);
   EXPECT_EQ(welded.faces, shape.faces);
 }
@@ -65,7 +66,7 @@ TEST(Weld, LaysLooseVerticesOntoTheNearest) {
   Shape shape = grid(12);
   shape.vertices.conservativeResize(145, 3);
   shape.vertices.row(144) << 1.3, 1.1, 0.2;
-  const WeldedSurface welded = weld(shape.vertices, shape.faces, "fragments");
+  const mesh::WeldedSurface welded = mesh::weld(shape.vertices, shape.faces, "fragments");
   EXPECT_EQ(welded.vertices.rows(), 144);
   EXPECT_EQ(welded.vertex_of[144], 143);
 }
@@ -76,19 +77,19 @@ TEST(Weld, KeepsTheTwoSidesOfACoincidentSheetApart) {
   both.vertices << one.vertices, one.vertices;
   both.faces.topRows(one.faces.rows()) = one.faces;
   both.faces.bottomRows(one.faces.rows()) = one.faces.rowwise().reverse().array() + 36;
-  EXPECT_EQ(weld(both.vertices, both.faces, "fragments").vertices.rows(), 72);
+  EXPECT_EQ(mesh::weld(both.vertices, both.faces, "fragments").vertices.rows(), 72);
 }
 
 TEST(Weld, LeavesWholeSurfacesAndCrumbsAloneAsTheyAre) {
   const Shape whole = sphere(2);
-  EXPECT_EQ(weld(whole.vertices, whole.faces, "fragments").faces, whole.faces);
+  EXPECT_EQ(mesh::weld(whole.vertices, whole.faces, "fragments").faces, whole.faces);
   const Shape crumb = grid(2);
-  EXPECT_EQ(weld(crumb.vertices, crumb.faces, "fragments").vertices, crumb.vertices);
+  EXPECT_EQ(mesh::weld(crumb.vertices, crumb.faces, "fragments").vertices, crumb.vertices);
 }
 
 TEST(Weld, RefusesAnotherMode) {
   const Shape shape = grid(3);
-  EXPECT_THROW(weld(shape.vertices, shape.faces, "glue"), std::invalid_argument);
+  EXPECT_THROW(mesh::weld(shape.vertices, shape.faces, "glue"), std::invalid_argument);
 }
 
 TEST(SurfaceOperators, OfATornSurfaceKeepTheSpectrumOfTheWholeOne) {

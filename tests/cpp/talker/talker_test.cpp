@@ -18,7 +18,7 @@ namespace {
 namespace fs = std::filesystem;
 
 /// A bumpy oval with a nose, metres.
-geometry::Mesh face_mesh(double unit) {
+mesh::Mesh face_mesh(double unit) {
   constexpr int kN = 21;
   Eigen::MatrixXd vertices(kN * kN, 3);
   std::vector<std::vector<int>> polygons;
@@ -36,7 +36,7 @@ geometry::Mesh face_mesh(double unit) {
       }
     }
   }
-  return geometry::make_mesh(vertices, polygons, Eigen::MatrixXd(0, 2), {}, "oval");
+  return mesh::make_mesh(vertices, polygons, Eigen::MatrixXd(0, 2), {}, "oval");
 }
 
 audio::Audio hum(double seconds, double amplitude = 0.3) {

@@ -1,0 +1,56 @@
+// Blocks of eight tall columns stored by rows: a row is one 64-byte line, so that products between
+// blocks and triangular solves run eight right-hand sides at a time. Each kernel is compiled for
+// AVX-512, AVX2 and the baseline and chosen once, at run time.
+#pragma once
+
+#include <cstdint>
+#include <cstdlib>
+#include <memory>
+#include <utility>
+
+namespace freetalk::kernels {
+
+constexpr int64_t kBlockWidth = 8;
+
+/// (rows, 8) doubles, row-major, aligned to cache lines; not initialised.
+class TallBlock {
+ public:
+  explicit TallBlock(int64_t rows);
+
+  int64_t rows() const { return rows_; }
+  double* row(int64_t r) { return data_.get() + r * kBlockWidth; }
+  const double* row(int64_t r) const { return data_.get() + r * kBlockWidth; }
+  double* data() { return data_.get(); }
+  const double* data() const { return data_.get(); }
+
+ private:
+  struct Free {
+    void operator()(double* data) const { std::free(data); }
+  };
+  int64_t rows_;
+  std::unique_ptr<double[], Free> data_;
+};
+
+/// A unit lower triangular matrix by compressed columns, its diagonal not stored.
+struct UnitLower {
+  int64_t size;
+  const int* column_begin;  // (size + 1,)
+  const int* row;
+  const double* value;
+};
+
+struct BlockKernels {
+  /// out (8, 8) += a^T b over rows [0, rows).
+  void (*add_gram)(const double* a, const double* b, int64_t rows, double* out);
+  /// target (rows, 8) -= a (rows, 8) c (8, 8).
+  void (*subtract_product)(const double* a, const double* c, int64_t rows, double* target);
+  /// x <- L^-1 x.
+  void (*solve_lower)(const UnitLower& lower, double* x);
+  /// x <- L^-T D^-1 x, `inverse_pivots` the diagonal of D^-1.
+  void (*solve_upper)(const UnitLower& lower, const double* inverse_pivots, double* x);
+};
+
+/// The kernels for this processor.
+const BlockKernels& block_kernels();
+
+}  // namespace freetalk::kernels

@@ -1,0 +1,118 @@
+#include <algorithm>
+#include <charconv>
+#include <cstring>
+#include <ostream>
+
+#include "freetalk/core/error.h"
+#include "freetalk/core/file.h"
+#include "freetalk/mesh/mesh.h"
+
+namespace freetalk::mesh {
+namespace {
+
+/// Shortest text that reads back as the same double.
+void append_number(std::string& out, double value) {
+  char buffer[32];
+  const auto result = std::to_chars(buffer, buffer + sizeof(buffer), value);
+  out.append(buffer, result.ptr);
+}
+
+void append_row(std::string& out, const char* keyword, const Eigen::MatrixXd& rows,
+                Eigen::Index i) {
+  out += keyword;
+  for (Eigen::Index c = 0; c < rows.cols(); ++c) {
+    out.push_back(' ');
+    append_number(out, rows(i, c));
+  }
+  out.push_back('\n');
+}
+
+const std::vector<int>* texture_corners(const Mesh& mesh, int64_t polygon) {
+  if (mesh.polygon_texcoords.empty()) return nullptr;
+  const std::vector<int>& corners = mesh.polygon_texcoords.at(static_cast<size_t>(polygon));
+  return corners.empty() ? nullptr : &corners;
+}
+
+std::string to_obj(const Mesh& mesh) {
+  std::string out;
+  out.reserve(static_cast<size_t>(mesh.num_vertices() * 48 + mesh.num_polygons() * 32));
+  for (Eigen::Index i = 0; i < mesh.vertices.rows(); ++i) append_row(out, "v", mesh.vertices, i);
+  for (Eigen::Index i = 0; i < mesh.texcoords.rows(); ++i) append_row(out, "vt", mesh.texcoords, i);
+  for (int64_t p = 0; p < mesh.num_polygons(); ++p) {
+    const std::vector<int> polygon = mesh.polygon(p);
+    const std::vector<int>* texcoords = texture_corners(mesh, p);
+    out.push_back('f');
+    for (size_t c = 0; c < polygon.size(); ++c) {
+      out.push_back(' ');
+      out += std::to_string(polygon[c] + 1);
+      if (texcoords == nullptr) continue;
+      out.push_back('/');
+      out += std::to_string((*texcoords)[c] + 1);
+    }
+    out.push_back('\n');
+  }
+  return out;
+}
+
+/// Whether each vertex has one texture coordinate, row by row.
+bool texcoords_per_vertex(const Mesh& mesh) {
+  if (mesh.texcoords.rows() != mesh.vertices.rows()) return false;
+  for (int64_t p = 0; p < mesh.num_polygons(); ++p) {
+    const std::vector<int>* corners = texture_corners(mesh, p);
+    if (corners == nullptr || *corners != mesh.polygon(p)) return false;
+  }
+  return mesh.num_polygons() > 0;
+}
+
+template <class T>
+void append_bytes(std::string& out, T value) {
+  char bytes[sizeof(T)];
+  std::memcpy(bytes, &value, sizeof(T));
+  out.append(bytes, sizeof(T));
+}
+
+/// Binary little-endian PLY, coordinates as double.
+std::string to_ply(const Mesh& mesh) {
+  const bool has_texcoords = mesh.texcoords.rows() > 0;
+  const bool per_vertex = has_texcoords && texcoords_per_vertex(mesh);
+  const bool per_corner = has_texcoords && !per_vertex;
+  std::string out = "ply\nformat binary_little_endian 1.0\nelement vertex " +
+                    std::to_string(mesh.num_vertices()) +
+                    "\nproperty double x\nproperty double y\nproperty double z\n";
+  if (per_vertex) out += "property double s\nproperty double t\n";
+  out += "element face " + std::to_string(mesh.num_polygons()) +
+         "\nproperty list int int vertex_indices\n";
+  if (per_corner) out += "property list uchar float texcoord\n";
+  out += "end_header\n";
+  for (Eigen::Index i = 0; i < mesh.vertices.rows(); ++i) {
+    for (int c = 0; c < 3; ++c) append_bytes(out, mesh.vertices(i, c));
+    for (int c = 0; per_vertex && c < 2; ++c) append_bytes(out, mesh.texcoords(i, c));
+  }
+  for (int64_t p = 0; p < mesh.num_polygons(); ++p) {
+    const std::vector<int> polygon = mesh.polygon(p);
+    append_bytes(out, static_cast<int32_t>(polygon.size()));
+    for (const int v : polygon) append_bytes(out, static_cast<int32_t>(v));
+    if (!per_corner) continue;
+    const std::vector<int>* corners = texture_corners(mesh, p);
+    const bool fits = corners != nullptr && corners->size() <= 127;  // The count is one byte.
+    append_bytes(out, static_cast<uint8_t>(fits ? corners->size() * 2 : 0));
+    for (size_t c = 0; fits && c < corners->size(); ++c) {
+      append_bytes(out, static_cast<float>(mesh.texcoords((*corners)[c], 0)));
+      append_bytes(out, static_cast<float>(mesh.texcoords((*corners)[c], 1)));
+    }
+  }
+  return out;
+}
+
+}  // namespace
+
+void save_mesh(const std::filesystem::path& path, const Mesh& mesh) {
+  std::string extension = path.extension().string();
+  std::transform(extension.begin(), extension.end(), extension.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  FREETALK_RUNTIME_CHECK(extension == ".obj" || extension == ".ply", "mesh file ", path.string(),
+                         " cannot be written as '", extension, "'; use .obj or .ply");
+  core::write_file_atomic(path, extension == ".obj" ? to_obj(mesh) : to_ply(mesh));
+}
+
+}  // namespace freetalk::mesh

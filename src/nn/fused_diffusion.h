@@ -1,0 +1,49 @@
+// A DiffusionNet on one mesh for inference on a CPU, many frames of it, without autograd.
+//
+// A block needs of the mesh only Phi, M Phi and the sparse gradients: with the spectrum
+// s = exp(-lambda t) Phi^T M x, what is diffused is Phi s, and what the gradient features multiply
+// it with is Phi (s A). Once their gradients are known, every vertex goes through the block by
+// itself: vertices go through in tiles of rows that stay in the cache, neighbours close together,
+// and the next block's Phi^T M x is summed up on the way. Products run in float32 or, where the
+// processor multiplies it, in bfloat16 with float32 sums, residuals, spectra and gradients.
+#pragma once
+
+#include <ATen/core/Tensor.h>
+
+#include <memory>
+
+#include "freetalk/nn/diffusion_net.h"
+#include "freetalk/nn/frame_inputs.h"
+
+namespace freetalk::nn {
+
+class FusedDiffusion {
+ public:
+  /// Whether this network on these operators is one it can run: spectral, with gradient features,
+  /// MLPs of equal widths, outputs at the vertices of one mesh, all float32 on the CPU, no dropout.
+  static bool supports(DiffusionNetImpl& net, const geometry::SurfaceOperators& operators);
+  /// Whether bfloat16 is multiplied by this processor.
+  static bool supports_bfloat16();
+
+  /// Copies what it needs; later changes of the network do not reach it.
+  /// @param base (V, C). @param queries (H, V, d), undefined without attention.
+  FusedDiffusion(DiffusionNetImpl& net, const geometry::SurfaceOperators& operators,
+                 const at::Tensor& base, const at::Tensor& queries, bool bfloat16);
+  ~FusedDiffusion();
+  FusedDiffusion(FusedDiffusion&&) noexcept;
+  FusedDiffusion& operator=(FusedDiffusion&&) noexcept;
+
+  /// @param in_work frames in work at a time, at most one a thread.
+  /// @returns (T, V, out_channels) float32. A frame's result does not depend on the others.
+  at::Tensor run(const FrameInputs& inputs, int64_t num_frames, int64_t in_work) const;
+
+  /// Bytes that a frame in work takes.
+  int64_t bytes_per_frame() const;
+
+  class Engine;
+
+ private:
+  std::unique_ptr<Engine> engine_;
+};
+
+}  // namespace freetalk::nn
