@@ -6,14 +6,14 @@
 #include "bind_options.h"
 #include "freetalk/geometry/alignment.h"
 #include "freetalk/geometry/eigenbasis.h"
-#include "freetalk/mesh/mesh.h"
-#include "freetalk/mesh/report.h"
 #include "freetalk/geometry/operators.h"
 #include "freetalk/geometry/poisson.h"
 #include "freetalk/geometry/robust_laplacian.h"
 #include "freetalk/geometry/surface.h"
 #include "freetalk/mesh/components.h"
+#include "freetalk/mesh/mesh.h"
 #include "freetalk/mesh/normals.h"
+#include "freetalk/mesh/report.h"
 
 namespace {
 

@@ -7,8 +7,8 @@
 #include <cctype>
 #include <cmath>
 
-#include "freetalk/core/error.h"
 #include "core/scratch.h"
+#include "freetalk/core/error.h"
 #include "gltf.h"
 #include "npz_animation.h"
 #include "sequence.h"

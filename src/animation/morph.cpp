@@ -6,8 +6,8 @@
 #include <cmath>
 #include <vector>
 
-#include "freetalk/core/error.h"
 #include "core/scratch.h"
+#include "freetalk/core/error.h"
 
 namespace freetalk::animation {
 namespace {

@@ -4,9 +4,9 @@
 
 #include <algorithm>
 
+#include "core/scratch.h"
 #include "freetalk/core/error.h"
 #include "freetalk/core/file.h"
-#include "core/scratch.h"
 #include "npz.h"
 
 namespace freetalk::animation {
@@ -77,7 +77,7 @@ mesh::Mesh read_mesh(NpzReader& reader, const std::string& where) {
   const std::string name = reader.contains("name") ? reader.read_text("name") : "";
   try {
     return mesh::make_mesh(vertices, std::move(polygons), std::move(texcoords),
-                               std::move(polygon_texcoords), name);
+                           std::move(polygon_texcoords), name);
   } catch (const std::invalid_argument& error) {
     throw std::runtime_error(where + ": " + error.what());
   }

@@ -4,11 +4,11 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/parallel.h"
 #include "freetalk/animation/jaw.h"
 #include "freetalk/core/error.h"
 #include "part_classes.h"
 #include "point_grid.h"
-#include "core/parallel.h"
 
 namespace freetalk::animation {
 namespace {

@@ -6,8 +6,8 @@
 
 #include <vector>
 
-#include "freetalk/ats/generate.h"
 #include "ats/inference.h"
+#include "freetalk/ats/generate.h"
 
 namespace freetalk::ats {
 

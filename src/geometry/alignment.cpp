@@ -209,8 +209,8 @@ struct Search {
   }
 
   /// Refines all, scores them at `reach_m` and keeps the best `count`.
-  void stage(std::vector<Candidate>& candidates, const mesh::KdTree& mesh, const IcpSettings& settings,
-             double reach_m, size_t count) const {
+  void stage(std::vector<Candidate>& candidates, const mesh::KdTree& mesh,
+             const IcpSettings& settings, double reach_m, size_t count) const {
     for (Candidate& c : candidates) c.pose = refine(problem(mesh, c.prior), c.pose, settings);
     rescore(candidates, mesh, reach_m, 2 * settings.num_target, settings.num_source);
     keep_best(candidates, count);

@@ -10,10 +10,10 @@
 #include <numeric>
 #include <vector>
 
+#include "core/parallel.h"
 #include "freetalk/core/error.h"
 #include "freetalk/geometry/robust_laplacian.h"
 #include "mesh/nearest_points.h"
-#include "core/parallel.h"
 
 namespace freetalk::geometry {
 namespace {

@@ -10,10 +10,10 @@
 namespace freetalk::geometry {
 
 struct IcpProblem {
-  const mesh::KdTree& source;    ///< the mesh, its own frame
-  const mesh::KdTree& target;    ///< the template, metres
-  double target_spacing;   ///< mean distance between neighbouring template points
-  double scale_prior = 0;  ///< expected scale, 0 for none
+  const mesh::KdTree& source;  ///< the mesh, its own frame
+  const mesh::KdTree& target;  ///< the template, metres
+  double target_spacing;       ///< mean distance between neighbouring template points
+  double scale_prior = 0;      ///< expected scale, 0 for none
 };
 
 struct IcpSettings {

@@ -4,8 +4,8 @@
 #include <algorithm>
 #include <vector>
 
-#include "freetalk/core/error.h"
 #include "core/parallel.h"
+#include "freetalk/core/error.h"
 
 namespace freetalk::geometry {
 namespace {

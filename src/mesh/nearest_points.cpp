@@ -4,8 +4,8 @@
 #include <utility>
 #include <vector>
 
-#include "mesh/kd_order.h"
 #include "core/parallel.h"
+#include "mesh/kd_order.h"
 
 namespace freetalk::mesh {
 namespace {

@@ -10,8 +10,8 @@
 #include <string>
 #include <vector>
 
-#include "kernels/packed_linear.h"
 #include "freetalk/nn/transformer.h"
+#include "kernels/packed_linear.h"
 
 namespace freetalk::nn {
 

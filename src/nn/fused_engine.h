@@ -10,11 +10,11 @@
 #include <utility>
 #include <vector>
 
-#include "nn/fused_diffusion.h"
-#include "kernels/fused_kernels.h"
-#include "fused_layout.h"
-#include "mesh_rows.h"
 #include "core/parallel.h"
+#include "fused_layout.h"
+#include "kernels/fused_kernels.h"
+#include "mesh_rows.h"
+#include "nn/fused_diffusion.h"
 
 namespace freetalk::nn {
 

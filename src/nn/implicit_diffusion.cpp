@@ -5,9 +5,9 @@
 
 #include <Eigen/Core>
 
+#include "core/parallel.h"
 #include "freetalk/core/error.h"
 #include "freetalk/geometry/sparse_cholesky.h"
-#include "core/parallel.h"
 
 namespace freetalk::nn {
 namespace {

@@ -10,7 +10,8 @@
 
 namespace freetalk::nn {
 
-/// The order's vertex i is vertex order[i] of the mesh. Gradients as kernels::GradientRows has them.
+/// The order's vertex i is vertex order[i] of the mesh. Gradients as kernels::GradientRows has
+/// them.
 struct MeshRows {
   /// @param operators of one mesh, on the CPU.
   explicit MeshRows(const geometry::SurfaceOperators& operators);

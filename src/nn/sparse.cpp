@@ -3,8 +3,8 @@
 #include <torch/csrc/autograd/custom_function.h>
 #include <torch/torch.h>
 
-#include "freetalk/core/error.h"
 #include "core/parallel.h"
+#include "freetalk/core/error.h"
 
 namespace freetalk::nn {
 namespace {

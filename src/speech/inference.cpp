@@ -5,9 +5,9 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/parallel.h"
 #include "fast_scope.h"
 #include "layers.h"
-#include "core/parallel.h"
 
 namespace freetalk::speech {
 namespace {

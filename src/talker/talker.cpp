@@ -11,12 +11,12 @@
 #include <chrono>
 #include <map>
 
+#include "core/scratch.h"
 #include "freetalk/animation/parts.h"
 #include "freetalk/animation/resample.h"
 #include "freetalk/core/error.h"
 #include "freetalk/core/options.h"
 #include "freetalk/core/random.h"
-#include "core/scratch.h"
 #include "freetalk/geometry/operators.h"
 #include "freetalk/speech/features.h"
 #include "freetalk/talker/blinks.h"

@@ -3,8 +3,8 @@
 #include <iostream>
 
 #include "freetalk/audio/audio.h"
-#include "freetalk/mesh/mesh.h"
 #include "freetalk/geometry/surface.h"
+#include "freetalk/mesh/mesh.h"
 #include "freetalk/mesh/normals.h"
 #include "freetalk/talker/talker.h"
 

@@ -1,5 +1,5 @@
-// Operators of triangle meshes: cotangent Laplacian, lumped mass, gradient. V (V, 3) double, F (F, 3) int throughout; faces may be degenerate, repeated,
-// non-manifold; vertices unreferenced.
+// Operators of triangle meshes: cotangent Laplacian, lumped mass, gradient. V (V, 3) double, F (F,
+// 3) int throughout; faces may be degenerate, repeated, non-manifold; vertices unreferenced.
 #pragma once
 
 #include <Eigen/Core>

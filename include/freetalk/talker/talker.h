@@ -124,9 +124,11 @@ class Talker {
   /// Several performances of one speech: the motion of all seeds is sampled together, and the mesh
   /// is prepared once. @param seeds take the place of options.seed. @returns one animation a seed,
   /// equal to that of animate() up to rounding.
-  std::vector<animation::Animation> animate_many(
-      const audio::Audio& audio, const mesh::Mesh& mesh, const std::vector<int64_t>& seeds,
-      const TalkerOptions& options = {}, const Progress& progress = {}, Report* report = nullptr);
+  std::vector<animation::Animation> animate_many(const audio::Audio& audio, const mesh::Mesh& mesh,
+                                                 const std::vector<int64_t>& seeds,
+                                                 const TalkerOptions& options = {},
+                                                 const Progress& progress = {},
+                                                 Report* report = nullptr);
 
   /// How the mesh lies relative to the canonical frame.
   geometry::Alignment align(const mesh::Mesh& mesh,

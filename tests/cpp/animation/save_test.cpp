@@ -3,9 +3,9 @@
 #include <fstream>
 #include <nlohmann/json.hpp>
 
+#include "core/scratch.h"
 #include "freetalk/animation/animation.h"
 #include "freetalk/core/file.h"
-#include "core/scratch.h"
 #include "scratch.h"
 
 namespace freetalk::animation {

@@ -42,7 +42,7 @@ inline mesh::Mesh seam_mesh() {
   Eigen::MatrixXd texcoords(8, 2);
   texcoords << 0, 0, 0.4, 0, 0.4, 1, 0, 1, 0.6, 0, 1, 0, 1, 1, 0.6, 1;
   return mesh::make_mesh(vertices, {{0, 1, 4, 3}, {1, 2, 5, 4}}, texcoords,
-                             {{0, 1, 2, 3}, {4, 5, 6, 7}}, "two quads");
+                         {{0, 1, 2, 3}, {4, 5, 6, 7}}, "two quads");
 }
 
 inline Animation seam_animation(int64_t frames) {

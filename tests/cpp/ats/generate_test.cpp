@@ -4,8 +4,8 @@
 #include <cmath>
 #include <vector>
 
-#include "freetalk/ats/generate.h"
 #include "ats/inference.h"
+#include "freetalk/ats/generate.h"
 #include "freetalk/core/random.h"
 
 namespace freetalk::ats {

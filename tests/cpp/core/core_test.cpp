@@ -3,13 +3,13 @@
 #include <filesystem>
 #include <fstream>
 
+#include "core/scratch.h"
 #include "freetalk/core/error.h"
 #include "freetalk/core/file.h"
 #include "freetalk/core/module_io.h"
 #include "freetalk/core/options.h"
 #include "freetalk/core/random.h"
 #include "freetalk/core/safetensors.h"
-#include "core/scratch.h"
 
 namespace freetalk::core {
 namespace {

@@ -9,8 +9,8 @@
 #include <stdexcept>
 #include <vector>
 
-#include "freetalk/geometry/surface.h"
 #include "../mesh/shapes.h"
+#include "freetalk/geometry/surface.h"
 
 namespace freetalk::geometry {
 namespace {

@@ -6,10 +6,10 @@
 #include <chrono>
 #include <thread>
 
+#include "../mesh/shapes.h"
 #include "freetalk/core/file.h"
 #include "freetalk/geometry/eigenbasis.h"
 #include "freetalk/geometry/surface.h"
-#include "../mesh/shapes.h"
 
 namespace freetalk::geometry {
 namespace {

@@ -6,9 +6,9 @@
 
 #include <random>
 
+#include "../mesh/shapes.h"
 #include "freetalk/geometry/operators.h"
 #include "freetalk/mesh/normals.h"
-#include "../mesh/shapes.h"
 
 namespace freetalk::geometry {
 namespace {

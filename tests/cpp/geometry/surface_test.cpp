@@ -86,7 +86,8 @@ TEST(TangentFrames, AreRightHandedAndOrthonormal) {
 TEST(VertexGradient, IsExactForLinearFunctionsInThePlaneAtAnyScale) {
   for (const double size : {1e-3, 1.0, 1e3}) {
     const Shape shape = grid(6, size, 2.0 * size);
-    const Eigen::MatrixXd frames = tangent_frames(mesh::vertex_normals(shape.vertices, shape.faces));
+    const Eigen::MatrixXd frames =
+        tangent_frames(mesh::vertex_normals(shape.vertices, shape.faces));
     const RowSparseMatrix gradient = vertex_gradient(shape.vertices, shape.faces, frames);
     const Eigen::VectorXd linear = 3.0 * shape.vertices.col(0) - 2.0 * shape.vertices.col(1);
     const Eigen::VectorXd result = gradient * linear;

@@ -4,10 +4,10 @@
 
 #include <ATen/ATen.h>
 
+#include "../mesh/shapes.h"
 #include "freetalk/geometry/operators.h"
 #include "freetalk/geometry/surface.h"
 #include "freetalk/mesh/components.h"
-#include "../mesh/shapes.h"
 
 namespace freetalk::geometry {
 namespace {
@@ -48,7 +48,8 @@ Shape torn(const Shape& shape, int step, double shift) {
 
 TEST(Weld, MakesASurfaceOfATriangleSoup) {
   const Shape shape = sphere(2);
-  const mesh::WeldedSurface welded = mesh::weld(soup(shape).vertices, soup(shape).faces, "coincident");
+  const mesh::WeldedSurface welded =
+      mesh::weld(soup(shape).vertices, soup(shape).faces, "coincident");
   EXPECT_EQ(welded.vertices.rows(), shape.vertices.rows());
   EXPECT_EQ(welded.faces.rows(), shape.faces.rows());
   EXPECT_EQ(mesh::connected_components(welded.vertices.rows(), welded.faces).maxCoeff(), 0);

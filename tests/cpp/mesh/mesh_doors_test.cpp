@@ -5,10 +5,10 @@
 #include <bit>
 #include <cstring>
 
-#include "freetalk/mesh/mesh.h"
-#include "freetalk/mesh/report.h"
 #include "freetalk/mesh/components.h"
+#include "freetalk/mesh/mesh.h"
 #include "freetalk/mesh/normals.h"
+#include "freetalk/mesh/report.h"
 #include "shapes.h"
 
 namespace freetalk::mesh {
