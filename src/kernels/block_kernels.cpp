@@ -2,6 +2,8 @@
 
 #include <new>
 
+#include "kernels/isa.h"
+
 namespace freetalk::kernels {
 
 TallBlock::TallBlock(int64_t rows) : rows_(rows) {
@@ -13,39 +15,11 @@ TallBlock::TallBlock(int64_t rows) : rows_(rows) {
 
 namespace {
 
-namespace baseline {
-#include "kernels/block_kernels_body.h"
-constexpr BlockKernels kKernels{add_gram, subtract_product, solve_lower, solve_upper};
-}  // namespace baseline
-
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
-#define FREETALK_WIDE_KERNELS
-
-#pragma GCC push_options
-#pragma GCC target("avx2,fma")
-namespace avx2 {
-#include "kernels/block_kernels_body.h"
-constexpr BlockKernels kKernels{add_gram, subtract_product, solve_lower, solve_upper};
-}  // namespace avx2
-#pragma GCC pop_options
-
-#pragma GCC push_options
-#pragma GCC target("avx512f,avx2,fma")
-namespace avx512 {
-#include "kernels/block_kernels_body.h"
-constexpr BlockKernels kKernels{add_gram, subtract_product, solve_lower, solve_upper};
-}  // namespace avx512
-#pragma GCC pop_options
-#endif
+#define FREETALK_BODY "kernels/block_kernels.inc"
+#include "kernels/each_isa.inc"
 
 }  // namespace
 
-const BlockKernels& block_kernels() {
-#ifdef FREETALK_WIDE_KERNELS
-  if (__builtin_cpu_supports("avx512f")) return avx512::kKernels;
-  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return avx2::kKernels;
-#endif
-  return baseline::kKernels;
-}
+const BlockKernels& block_kernels() { return for_isa(isa()); }
 
 }  // namespace freetalk::kernels

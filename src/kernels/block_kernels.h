@@ -1,6 +1,5 @@
 // Blocks of eight tall columns stored by rows: a row is one 64-byte line, so that products between
-// blocks and triangular solves run eight right-hand sides at a time. Each kernel is compiled for
-// AVX-512, AVX2 and the baseline and chosen once, at run time.
+// blocks and triangular solves run eight right-hand sides at a time.
 #pragma once
 
 #include <cstdint>
@@ -50,7 +49,7 @@ struct BlockKernels {
   void (*solve_upper)(const UnitLower& lower, const double* inverse_pivots, double* x);
 };
 
-/// The kernels for this processor.
+/// The kernels for isa().
 const BlockKernels& block_kernels();
 
 }  // namespace freetalk::kernels

@@ -67,9 +67,9 @@ struct Kernels {
                   int64_t outputs, float* result);
 };
 
-/// The best the processor offers.
+/// The kernels for isa().
 const Kernels<float>& float_kernels();
-/// Null where the processor does not multiply bfloat16.
+/// Null below avx512_bf16.
 const Kernels<uint16_t>* bfloat16_kernels();
 
 }  // namespace freetalk::kernels
