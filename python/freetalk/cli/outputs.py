@@ -103,14 +103,3 @@ def check_readable(path: str, what: str) -> Path:
     if not os.access(file, os.R_OK):
         raise OSError(f"'{path}' may not be read: change its permissions or give {what}")
     return file
-
-
-def write_text(path: Path, text: str) -> None:
-    """Writes a file, its folder made if missing, so that readers see the old one or the new one."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 
 import numpy as np
 
+from freetalk._files import replacing
 from freetalk.cli.outputs import check_readable, check_writable
 from freetalk.cli.weights import find_weights
 
@@ -31,14 +31,8 @@ def encode(arguments: argparse.Namespace) -> None:
     encoder = SpeechEncoder.from_pretrained(folder)
     samples = torch.from_numpy(np.array(audio.samples, dtype=np.float32))
     features = encode_speech(encoder, samples, arguments.fps).cpu().numpy()
-    out.parent.mkdir(parents=True, exist_ok=True)
-    partial = out.with_name(f".{out.name}.{os.getpid()}.partial")
-    try:
-        with partial.open("wb") as file:
-            np.save(file, features)
-        partial.replace(out)
-    finally:
-        partial.unlink(missing_ok=True)
+    with replacing(out) as temporary, temporary.open("wb") as file:
+        np.save(file, features)
     print(f"{out}: {features.shape[0]} frames of {features.shape[1]} features")
 
 

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from freetalk.cli.outputs import check_readable, check_writable, write_text
+from freetalk._files import write_text
+from freetalk.cli.outputs import check_readable, check_writable
 from freetalk.cli.weights import find_weights
 
 

@@ -16,7 +16,8 @@ from freetalk.data.dataset import NUM_LANDMARKS, FloatArray
 class LandmarkCache:
     """One array of all frames and a flag a sequence; both grow into place as sequences are asked for.
 
-    Several processes may share it: each writes the same numbers, and the flag after them.
+    Several processes may share it: each writes the same numbers, and the flag once they are on the disk,
+    so that a crash leaves no sequence that is marked and not there.
 
     Args:
         path: folder of the two files, made if need be.
@@ -38,7 +39,9 @@ class LandmarkCache:
         rows = self._landmarks[first : first + count]
         if not self._done[index]:
             rows[:] = compute()
+            self._landmarks.flush()
             self._done[index] = 1
+            self._done.flush()
         return rows
 
 

@@ -247,6 +247,7 @@ def registered_parts(
     faces: npt.NDArray[np.int64],
     candidates: tuple[float, ...],
     notes: dict[str, Any] | None = None,
+    sources: tuple[Path, ...] = (),
 ) -> RegisteredParts:
     """Unifies the frame rate, recognises the template and finds the split."""
     num_vertices = common_size(neutral)
@@ -266,6 +267,7 @@ def registered_parts(
         scheme=scheme_of(kind, request.split, speakers, request.directory),
         unit=request.unit,
         notes={"decimated": step, **(notes or {})},
+        sources=sources,
     )
 
 

@@ -121,7 +121,9 @@ def read_emote(request: Request) -> RegisteredParts:
     if not recordings:
         raise LayoutError(f"{root}/reconstructions holds no .../front/EMOTION/level_N/NNN/{_FILE}")
     notes = {"layout": "EMOTE", "flame": flame.source}
-    return registered_parts(request, "mead", recordings, neutral, flame.faces, (_FPS,), notes)
+    return registered_parts(
+        request, "mead", recordings, neutral, flame.faces, (_FPS,), notes, (Path(flame.source),)
+    )
 
 
 def read_mead(request: Request) -> RegisteredParts:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import soundfile
 
+from freetalk._files import content_hash
 from freetalk.data.dataset import (
     NUM_LANDMARKS,
     BoolArray,
@@ -56,10 +58,18 @@ class OpenCorpus:
         self._topology = lru_cache(maxsize=16)(self._load_topology)
         self._basis = lru_cache(maxsize=16)(self._load_basis)
 
-    @property
+    @cached_property
     def fingerprint(self) -> str:
-        """The folder and the seed of its content."""
-        return f"{self.directory} {self.manifest.get('seed')}"
+        """Changes with the manifest, the motion, the faces and meshings, and the sizes and times of the
+        recordings, which are too many to read."""
+        arrays = ("landmarks.npy", "weights.npy", "identities.npy")
+        read = [self.directory / name for name in ("manifest.json", *arrays)]
+        read += [self._topology_path(name) for name in self.topologies()]
+        digest = hashlib.sha256(content_hash(*(path for path in read if path.is_file())).encode())
+        for path in sorted({s.audio for s in self._sequences if s.audio is not None}):
+            state = path.stat()
+            digest.update(f"{path.name} {state.st_size} {state.st_mtime_ns}".encode())
+        return digest.hexdigest()[:16]
 
     def sequences(
         self, split: str | None = None, sources: Sequence[str] | None = None

@@ -13,6 +13,7 @@ import numpy as np
 import soundfile
 
 from freetalk import geometry
+from freetalk._files import content_hash
 from freetalk.audio import load_audio
 from freetalk.data.dataset import EMOTIONS, FaceMesh, FloatArray, MotionSequence, chosen
 from freetalk.data.errors import (
@@ -77,6 +78,7 @@ class RegisteredParts:
         scheme: who belongs to which split.
         unit: length unit, or ``auto``.
         notes: what results should say of the source.
+        sources: files that make frames of what the motion files hold, such as a model's bases.
     """
 
     kind: str
@@ -88,6 +90,7 @@ class RegisteredParts:
     scheme: SplitScheme
     unit: str = "auto"
     notes: dict[str, Any] = field(default_factory=dict)
+    sources: tuple[Path, ...] = ()
 
 
 class RegisteredDataset:
@@ -112,7 +115,7 @@ class RegisteredDataset:
         self.name, self.directory, self.kind = name, directory, parts.kind
         self.fps, self.file_fps = float(parts.fps), float(parts.file_fps)
         self.template, self.scheme, self.notes = parts.template, parts.scheme, parts.notes
-        self.topology = parts.template.name
+        self.topology, self.sources = parts.template.name, parts.sources
         self.left_out = 0
         self._neutral: dict[str, FloatArray] = {}
         self._identity: dict[str, int] = {}
@@ -129,13 +132,19 @@ class RegisteredDataset:
 
     @cached_property
     def fingerprint(self) -> str:
-        """Changes with the files, their lengths, the unit or the landmarks."""
-        digest = hashlib.sha256(f"1 {self.directory} {self.describe()}".encode())
-        changed: dict[Path, int] = {}
+        """Changes with the neutral faces, the template's lists, the model that poses faces, the unit, and
+        the lengths, sizes and times of the motion files, which are too many to read."""
+        digest = hashlib.sha256(f"2 {self.describe()}".encode())
+        for speaker, points in self._neutral.items():
+            digest.update(f"{speaker} ".encode() + points.tobytes())
+        for path in self.sources:
+            digest.update(content_hash(path).encode())
+        changed: dict[Path, str] = {}
         for sequence in self._sequences:
             path = self._recordings[sequence.id].frames.path
             if path not in changed:
-                changed[path] = path.stat().st_mtime_ns
+                state = path.stat()
+                changed[path] = f"{state.st_size} {state.st_mtime_ns}"
             digest.update(f"{sequence.id} {sequence.num_frames} {changed[path]}".encode())
         return digest.hexdigest()[:16]
 

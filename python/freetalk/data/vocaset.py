@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ import numpy as np
 import soundfile
 
 from freetalk import geometry
+from freetalk._files import replacing, write_json
 from freetalk.data.errors import DatasetError, LayoutError, MissingFileError
 from freetalk.data.frames import PackedFrames, npy_header
 from freetalk.data.layouts import (
@@ -143,9 +143,7 @@ def _audio_files(path: Path) -> dict[str, Path]:
                 name = f"{speaker}_{sentence}"
                 _write_wav(folder / f"{name}.wav", entry, f"{path}: {name}")
                 names.append(name)
-        temporary = folder / f".index.{os.getpid()}"
-        temporary.write_text(json.dumps(names))
-        temporary.replace(listed)
+        write_json(listed, names)
     return {name: folder / f"{name}.wav" for name in json.loads(listed.read_text())}
 
 
@@ -161,6 +159,5 @@ def _write_wav(path: Path, entry: Any, where: str) -> None:
         samples = samples.astype(np.int16)  # 16-bit sound that was stored wider
     if samples.dtype.kind == "f":
         samples = samples.astype(np.float32)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.wav")
-    soundfile.write(temporary, samples, int(entry["sample_rate"]))
-    temporary.replace(path)
+    with replacing(path) as temporary:
+        soundfile.write(temporary, samples, int(entry["sample_rate"]))

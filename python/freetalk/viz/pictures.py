@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from freetalk._files import replacing
 from freetalk.viz.renderer import FaceRenderer, Image, View
 from freetalk.viz.sequence import Sequence, as_sequence
 
@@ -229,11 +230,6 @@ def _draw_wave(
 
 
 def _write_atomic(path: Path, content: bytes) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        partial.write_bytes(content)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
     return path
