@@ -18,7 +18,7 @@ from tqdm import tqdm
 from freetalk.corpus import topologies
 from freetalk.corpus.assets import FaceModel, load_face_model
 from freetalk.corpus.emotion import EMOTIONS
-from freetalk.corpus.plan import SIZES, SPLITS, Size, all_jobs
+from freetalk.corpus.plan import DISJOINT, SIZES, SPLITS, Size, all_jobs
 from freetalk.corpus.sequences import FPS, SAMPLE_RATE_HZ, Job, Made, Maker, voice_id
 
 FORMAT = "freetalk-open-corpus"
@@ -136,6 +136,7 @@ def _write(work: Path, size: str, seed: int, progress: bool) -> None:
         "sequences": _sequence_entries(made, identities, seed),
         "identities": identities,
         "topologies": meshes,
+        "test_disjoint_by": {source: list(fields) for source, fields in DISJOINT.items()},
     }
     (work / "manifest.json").write_text(json.dumps(manifest, indent=1))
 

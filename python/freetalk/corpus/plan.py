@@ -1,6 +1,8 @@
 """What a corpus holds: the list of sequences for a size and seed, with every split decided here.
 
-Test speech is disjoint from training speech by voice, by sentence and by take; identities are split as well.
+``DISJOINT`` says of each source what its test sequences share with no other split: synthetic speech has other
+voices and other sentences, acted speech other speakers who say the same ten sentences, captured speech another
+take of the same speaker. Faces and meshings are split as well.
 """
 
 from __future__ import annotations
@@ -61,6 +63,17 @@ SIZES = {
     ),
 }
 SPLITS = ("train", "val", "test")
+CAPTURED_SPEAKER = "facegood"
+"""The one speaker of all captured takes."""
+DISJOINT: dict[str, tuple[str, ...]] = {
+    "synthetic": ("voice", "sentence", "take"),
+    "emodb": ("voice", "take"),
+    "facegood": ("take",),
+    "running": (),
+    "rom": (),
+    "rest": (),
+}
+"""What test sequences of a source share with no other split; what is not listed, they share (or have none of)."""
 
 
 def draw_emotion(
@@ -253,7 +266,38 @@ def all_jobs(size: Size, seed: int) -> list[Job]:
         for make in (synthetic_jobs, facegood_jobs, emodb_jobs, rom_jobs, rest_jobs, running_jobs)
         for job in make(size, seed)
     ]
-    said = {split: {j.text for j in jobs if j.text and j.split == split} for split in SPLITS}
-    if said["train"] & said["test"] or said["train"] & said["val"]:
-        raise RuntimeError("a sentence occurs in two splits")
+    for source, fields in DISJOINT.items():
+        for field in fields:
+            both = shared_with_test(jobs, source, field)
+            if both:
+                raise RuntimeError(f"{source}: the {field} {sorted(both)[0]} is in test and beyond")
     return jobs
+
+
+def shared_with_test(jobs: list[Job], source: str, field: str) -> set[str]:
+    """Voices, sentences or takes that the test sequences of a source have in common with any other split.
+
+    Args:
+        jobs: of a corpus.
+        source: of the test sequences; those of other splits are of any source.
+        field: ``voice``, ``sentence`` or ``take``.
+    """
+    heard: set[str] = set().union(
+        *(_heard(j, field) for j in jobs if j.split == "test" and j.source == source)
+    )
+    known: set[str] = set().union(*(_heard(j, field) for j in jobs if j.split != "test"))
+    return heard & known
+
+
+def _heard(job: Job, field: str) -> set[str]:
+    """What of a kind a sequence holds."""
+    spoken = {clip.name: clip.text for clip in load_clips()} if job.clips else {}
+    captured = job.source == "facegood" or any(part.take for part in job.parts)
+    if field == "voice":
+        # The variant is what sounds; the same one speaks several dialects.
+        own = job.voice.name.split("+")[-1] if job.voice else job.speaker
+        return {CAPTURED_SPEAKER} if captured else {own} if own else set()
+    if field == "sentence":
+        return {job.text} if job.text else {spoken[name] for name in job.clips}
+    takes = {job.take, *job.clips, *(part.take for part in job.parts)}
+    return {take for take in takes if take}
