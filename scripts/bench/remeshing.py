@@ -43,7 +43,7 @@ from freetalk.corpus.topologies import (
 )
 from freetalk.data import MotionSequence, OpenCorpus
 from freetalk.evaluate.pretrained import load_stm
-from freetalk.evaluate.tables import plain_table
+from freetalk.evaluate.writers import plain_table
 from freetalk.geometry import surface_operators
 from freetalk.stm import Stm
 

@@ -14,7 +14,9 @@ import soundfile as sf
 from freetalk.corpus import assets, build_corpus, curves, emotion, plan, rest, running
 from freetalk.corpus.lips import LIMIT_M, Lips
 from freetalk.corpus.phones import BILABIALS, LABIODENTALS
+from freetalk.corpus.sequences import Job
 from freetalk.corpus.stretch import stretched
+from freetalk.tables import main as table
 
 MODEL = assets.load_face_model()
 LIPS = Lips(MODEL)
@@ -92,18 +94,47 @@ def test_layout_is_consistent(corpus: Path, manifest: dict[str, Any]) -> None:
     assert not list(corpus.parent.glob(".*partial"))
 
 
+def spoken(jobs: list[Job], field: str) -> set[str]:
+    """Voices, sentences or takes of sequences, by plain reading of their fields."""
+    texts = {clip.name: clip.text for clip in assets.load_clips()}
+    found: set[str] = set()
+    for job in jobs:
+        if field == "voice":
+            captured = job.source in ("facegood", "running") and not job.speaker
+            own = job.voice.name.split("+")[-1] if job.voice else job.speaker
+            found |= {"captured"} if captured else {own} if own else set()
+        elif field == "sentence":
+            found |= {job.text} if job.text else {texts[clip] for clip in job.clips}
+        else:
+            found |= {job.take, *job.clips, *(part.take for part in job.parts)}
+    return found - {"", None}
+
+
+def test_test_speech_is_as_disjoint_as_is_said_and_no_more() -> None:
+    jobs = plan.all_jobs(plan.SIZES["small"], 0)
+    others = [j for j in jobs if j.split != "test"]
+    for source, promised in plan.DISJOINT.items():
+        own = [j for j in jobs if j.split == "test" and j.source == source]
+        for field in ("voice", "sentence", "take"):
+            mine, both = spoken(own, field), spoken(own, field) & spoken(others, field)
+            if field in promised:
+                assert not both, f"{source}: {field}s are said to be unheard"
+            else:
+                assert both or not mine, f"{source}: {field}s are unheard, say so"
+    emodb = [j for j in jobs if j.split == "test" and j.source == "emodb"]
+    assert spoken(emodb, "sentence") <= spoken(others, "sentence")  # all ten of them
+
+
 @pytest.mark.parametrize("size", ["tiny", "small"])
-def test_no_split_shares_speech(size: str) -> None:
+def test_no_split_shares_a_recording_or_a_synthetic_voice(size: str) -> None:
     jobs = plan.all_jobs(plan.SIZES[size], 0)
     for one, other in (("train", "test"), ("train", "val"), ("val", "test")):
         first, second = ([j for j in jobs if j.split == s] for s in (one, other))
-        assert not {j.text for j in first if j.text} & {j.text for j in second if j.text}
-        assert not {j.audio for j in first if j.audio} & {j.audio for j in second if j.audio}
-        assert not {j.speaker for j in first if j.speaker} & {
-            j.speaker for j in second if j.speaker
-        }
+        for field in ("text", "audio", "speaker"):
+            held = [{getattr(j, field) for j in js} - {None} for js in (first, second)]
+            assert all(held) and not held[0] & held[1], field
         variants = [{j.voice.name.split("+")[-1] for j in js if j.voice} for js in (first, second)]
-        assert not variants[0] & variants[1]
+        assert all(variants) and not variants[0] & variants[1]
     assert {j.take for j in jobs if j.split == "test" and j.source == "facegood"} == {"1114_3_15"}
     assert "1114_3_15" not in {j.take for j in jobs if j.split != "test"}
     joined = [j for j in jobs if j.source == "running"]
@@ -279,3 +310,17 @@ def test_build_refuses_wrong_sizes_and_foreign_folders(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="not a corpus"):
         build_corpus(tmp_path / "mine", "tiny")
     assert (tmp_path / "mine" / "thesis.txt").read_text() == "keep me"
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("own_cache")
+def test_a_tiny_corpus_makes_a_table(corpus: Path, tmp_path: Path) -> None:
+    arguments = ["--size=tiny", f"--data={corpus}", f"--work={tmp_path / 'work'}"]
+    arguments += [f"--out={tmp_path / 'out'}", "--rows", "concat", "still face"]
+    assert table("supp_2", arguments) == 0
+    result = json.loads((tmp_path / "out/supp_2.json").read_text())
+    assert [row["name"] for row in result["rows"]] == ["concat", "still face"]
+    # At size small it lacks the meshings: said before anything is trained.
+    with pytest.raises(ValueError, match="build a larger corpus"):
+        table("supp_2", ["--size=small", f"--data={corpus}", f"--work={tmp_path / 'small'}"])
+    assert not (tmp_path / "small").exists()

@@ -20,7 +20,7 @@ from freetalk.cli import main
 from freetalk.data import OpenCorpus
 from freetalk.evaluate.masks import KNOWN_MASKS, describe_masks
 from freetalk.evaluate.motion_files import NameMatcher, motion_paths, read_motion, speaker_of
-from freetalk.evaluate.tables import number
+from freetalk.evaluate.writers import number
 
 VERTICES, FPS = 30, 25.0
 LIPS, UPPER = [1, 4, 7, 9], [20, 21, 25]

@@ -18,6 +18,7 @@ from mini_corpus import write_mini_corpus
 
 from freetalk.corpus.topologies import TOPOLOGIES
 from freetalk.data import OpenCorpus, open_dataset
+from freetalk.evaluate.motion_files import Origin
 from freetalk.stm import Stm
 from freetalk.tables import main
 from freetalk.tables.claims import HELD, OPPOSITE, UNDECIDED, Claim, judge
@@ -141,19 +142,23 @@ def test_a_shift_is_not_rough_and_a_zigzag_is() -> None:
 
 
 def scored(**means: float) -> dict[str, dict[str, object]]:
-    """Rows of 30 clips with a spread of their own that all rows share."""
+    """Rows of 30 clips, three alike trainings each, with a spread of their own that all rows share."""
     rng = np.random.default_rng(0)
     level, noise = rng.uniform(0.5, 1.5, 30), rng.normal(0, 0.02, (len(means), 30))
-    return {name: one_run(mean * level + own) for (name, mean), own in zip(means.items(), noise)}
+    return {name: seeded(mean * level + own) for (name, mean), own in zip(means.items(), noise)}
 
 
-def one_run(values: np.ndarray) -> dict[str, object]:
-    """A row of one run with these values of its clips."""
-    own = {
-        "values": {"lve": {str(i): float(value) for i, value in enumerate(values)}},
-        "frames": {str(i): 20 + i for i in range(len(values))},
-    }
-    return merged("", [{"scores": {"SET": own}, "trainings": []}])
+def seeded(*runs: np.ndarray, origins: dict[str, Origin] | None = None) -> dict[str, object]:
+    """A row of runs with these values of their clips; of a single one, three times the same."""
+    scores = [
+        {
+            "values": {"lve": {str(i): float(value) for i, value in enumerate(values)}},
+            "frames": {str(i): 20 + i for i in range(len(values))},
+            "origins": origins or {},
+        }
+        for values in (runs if len(runs) > 1 else 3 * runs)
+    ]
+    return merged("", [{"scores": {"SET": own}, "trainings": []} for own in scores])
 
 
 def verdict(claim: Claim, rows: dict[str, dict[str, object]]) -> str:
@@ -176,20 +181,79 @@ def test_a_claim_of_likeness_asks_for_the_whole_interval() -> None:
 
 
 def test_what_seeds_change_widens_the_interval() -> None:
-    seeds = scored(a=0.9, b=1.0, c=1.1, high=1.1)
-    runs = [row["runs"][0] for name, row in seeds.items() if name != "high"]
-    several = {"low": merged("low", runs), "high": seeds["high"]}
-    single = {**several, "low": {**several["low"], "runs": runs[:1]}}
+    rows = scored(a=0.9, b=1.0, c=1.1, high=1.1)
+    trainings = [row["runs"][0] for name, row in rows.items() if name != "high"]
+    several = {"low": merged("low", trainings), "high": rows["high"]}
+    alike = {"low": merged("low", 3 * [several["low"]]), "high": rows["high"]}
     claim = Claim("", "", ("low",), ("high",))
-    (alone,), (widened,) = judge([claim], single), judge([claim], several)
-    assert alone.outcome == HELD
-    assert widened.outcome == UNDECIDED
+    (alone,), (widened,) = judge([claim], alike), judge([claim], several)
+    assert alone.outcome == HELD and alone.p_value < 0.001
+    assert widened.outcome == UNDECIDED and widened.p_value > 0.05
     assert alone.difference == widened.difference == pytest.approx(-0.09, abs=0.01)
-    assert widened.seed_spread == pytest.approx(0.1, rel=0.05)  # noise of the clips
-    # t at 97.5 % for 2 degrees of freedom; three runs of one row, one of the other.
-    extra = 4.303 * widened.seed_spread * np.sqrt(1 / 3 + 1)
+    # Means of 0.9, 1.0, 1.1 and three times the same: pooled over four degrees of freedom.
+    assert widened.seed_spread == pytest.approx(0.1 / np.sqrt(2), rel=0.05)
+    # Student's t at 97.5 % for 4 degrees, three runs of each row; 10,000 draws give two digits.
+    extra = 2.776 * widened.seed_spread * np.sqrt(1 / 3 + 1 / 3)
     expected = np.hypot(alone.high - alone.difference, extra)
-    assert widened.high - widened.difference == pytest.approx(expected, rel=1e-3)
+    assert widened.high - widened.difference == pytest.approx(expected, rel=0.05)
+
+
+def test_fewer_than_three_trainings_decide_nothing() -> None:
+    rows = scored(low=1.0, high=1.5)
+    two = {name: {**row, "runs": row["runs"][:2]} for name, row in rows.items()}
+    claim = Claim("", "", ("low",), ("high",))
+    (found,) = judge([claim], {**rows, "low": two["low"]})
+    assert found.high < 0 and found.outcome == UNDECIDED and found.seeds == 2
+    assert verdict(claim, rows) == HELD
+
+
+def test_intervals_and_p_values_agree() -> None:
+    """A claim's interval leaves 0 out exactly where its own p-value is below 5 %."""
+    rng = np.random.default_rng(5)
+    decided = 0
+    for number in range(40):
+        shift, level = rng.uniform(-0.06, 0.06), rng.uniform(0.5, 1.5, 12)
+        low = [level + shift + rng.normal(0, 0.05, 12) for _ in range(3)]
+        rows = {"low": seeded(*low), "high": seeded(level)}
+        (found,) = judge([Claim("", "", ("low",), ("high",))], rows, seed=number)
+        outside = found.high < 0 or found.low > 0
+        # Of 10,000 draws the quantiles lie between two, so one draw may fall either way.
+        if abs(found.p_value - 0.05) > 5e-4:
+            assert outside == (found.p_value < 0.05)
+        decided += outside
+    assert 5 < decided < 35  # both kinds were seen
+
+
+def test_clips_of_one_take_are_one_observation() -> None:
+    rng = np.random.default_rng(2)
+    takes, own = rng.normal(-0.05, 0.1, 8), 25
+    low = 1 + np.repeat(takes, own) + rng.normal(0, 0.01, 8 * own)
+    claim = Claim("", "", ("low",), ("high",))
+
+    def spread(origins: dict[str, Origin] | None) -> tuple[float, tuple[str, int]]:
+        rows = {"low": seeded(low, origins=origins), "high": seeded(np.ones(8 * own))}
+        (found,) = judge([claim], rows)
+        return found.high - found.low, found.drawn
+
+    alone, drawn = spread(None)
+    assert drawn == ("takes", 200)  # nothing is known of them
+    origins = {str(i): Origin("one", str(i // own)) for i in range(8 * own)}
+    together, drawn = spread(origins)
+    assert drawn == ("takes", 8)
+    # The mean of 8 takes varies sqrt(25) times as much as that of 200 clips; clips weigh by their frames.
+    assert 3.5 < together / alone < 6.5
+    speakers = {str(i): Origin(str(i // own // 2), str(i)) for i in range(8 * own)}
+    assert spread(speakers)[1] == ("takes", 200)  # four speakers stand for no others
+    many = {str(i): Origin(str(i // own), str(i)) for i in range(8 * own)}
+    assert spread(many)[1] == ("speakers", 8)
+
+
+def test_one_take_has_no_interval() -> None:
+    origins = {str(i): Origin("one", "same") for i in range(30)}
+    rows = {"low": seeded(np.ones(30), origins=origins), "high": seeded(2 * np.ones(30))}
+    (found,) = judge([Claim("", "", ("low",), ("high",))], rows)
+    assert np.isnan(found.low) and found.outcome == UNDECIDED and found.p_value == 1
+    assert found.to_dict()["low"] is None
 
 
 def test_several_rows_count_by_their_mean_and_missing_ones_are_passed_over() -> None:

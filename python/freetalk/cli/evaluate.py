@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from freetalk._files import write_json
 from freetalk.cli.outputs import check_readable, check_writable
 from freetalk.cli.parser import UsageError
 from freetalk.cli.score_options import AXES
@@ -37,28 +38,34 @@ def measure(arguments: argparse.Namespace) -> None:
         check_readable(file, "a recording of speech")
     for file in arguments.out:
         check_writable(Path(file))
+    from freetalk.data import OpenCorpus
     from freetalk.evaluate import open_corpus
 
-    options = ["--corpus", arguments.data, "--pretrained", str(weights)]
-    options += ["--parts", *arguments.parts, "--take", arguments.take]
-    options += ["--samples", str(arguments.samples)]
-    options += [] if arguments.steps is None else ["--steps", str(arguments.steps)]
-    options += ["--audio", *arguments.audio] if arguments.audio else []
+    scores = open_corpus.measure(
+        OpenCorpus(arguments.data),
+        weights,
+        parts=arguments.parts,
+        take=arguments.take,
+        audio=[Path(file) for file in arguments.audio],
+        samples=arguments.samples,
+        steps=arguments.steps,
+    )
+    print(weights)
+    print(open_corpus.table(scores))
     for file in arguments.out:
-        options += ["--out", file]
-    open_corpus.main(options)
+        write_json(Path(file), scores)
 
 
 def score(arguments: argparse.Namespace) -> None:
     """Scores folders of predictions against a ground truth and prints a table."""
     if arguments.gt is None:
         raise UsageError("--pred needs --gt, the ground truth: a folder of motion or a dataset")
-    if arguments.fps <= 0 or arguments.resamples < 1:
+    if (arguments.fps is not None and arguments.fps <= 0) or arguments.resamples < 1:
         raise UsageError("--fps and --resamples must be above 0")
     from freetalk import evaluate
     from freetalk.evaluate.masks import read_lip_pairs
     from freetalk.evaluate.motion_files import unit_scale
-    from freetalk.evaluate.tables import FORMATS, terminal
+    from freetalk.evaluate.writers import FORMATS, terminal
 
     outputs = [Path(file) for file in arguments.out]
     for path in outputs:
@@ -94,7 +101,7 @@ def score(arguments: argparse.Namespace) -> None:
             scale=None if arguments.pred_unit is None else unit_scale(arguments.pred_unit),
             pattern=arguments.names,
             strict=arguments.strict,
-            up=AXES[arguments.up],
+            up=None if arguments.up is None else AXES[arguments.up],
         ),
     )
     statistics = evaluate.StatisticsSettings(
@@ -111,11 +118,12 @@ def score(arguments: argparse.Namespace) -> None:
 
 def _systems(given: list[str]) -> list[tuple[str, Path]]:
     """``NAME=DIR`` or ``DIR``, which is called as the folder."""
+    from freetalk.data import parse_spec
+
     systems: dict[str, Path] = {}
     for text in given:
-        name, equals, directory = text.partition("=")
-        if not equals or "/" in name or Path(text).exists():
-            name, directory = Path(text).resolve().name, text
+        name, _, directory = parse_spec(text)
+        name = name or Path(directory).resolve().name
         if name in systems:
             raise ValueError(f"two systems are called {name}: give them names, NAME=DIR")
         systems[name] = _folder(directory)

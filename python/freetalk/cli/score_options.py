@@ -76,16 +76,23 @@ def _add_inputs(group: argparse._ArgumentGroup) -> None:
 def _add_reading(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--unit",
-        default="m",
         metavar="UNIT",
-        help="of --gt's folder: m, cm, mm, in, or metres per unit",
+        help="of --gt's files where they do not say it: m, cm, mm, in, or metres per unit",
     )
-    group.add_argument("--pred-unit", metavar="UNIT", help="of --pred, where it is another")
+    group.add_argument(
+        "--pred-unit",
+        metavar="UNIT",
+        help="of --pred's, where they do not say it and --gt's is another",
+    )
     group.add_argument("--kind", choices=KINDS, default="auto", help="what --gt's folder holds")
     group.add_argument("--pred-kind", choices=KINDS, default="auto", help="what --pred holds")
-    group.add_argument("--fps", type=float, default=30.0, help="frames per second of --gt's folder")
     group.add_argument(
-        "--up", choices=tuple(AXES), default="+y", help="axis to the top of the head"
+        "--fps", type=float, help="frames per second of --gt's files where they do not say it"
+    )
+    group.add_argument(
+        "--up",
+        choices=tuple(AXES),
+        help="axis to the top of the head; as --gt's files say, else +y",
     )
     group.add_argument(
         "--names",
@@ -95,7 +102,7 @@ def _add_reading(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--strict",
         action="store_true",
-        help="no missing or unknown sequence, no differing length (else both are cut to the shorter)",
+        help="no missing or unknown sequence, no differing length (else the shorter counts, up to a tenth)",
     )
 
 

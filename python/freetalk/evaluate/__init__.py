@@ -11,7 +11,7 @@ from freetalk.evaluate.speech_motion import (
     correlation,
     log_energy,
 )
-from freetalk.evaluate.tables import write_report
+from freetalk.evaluate.writers import write_report
 
 __all__ = [
     "KNOWN_MASKS",

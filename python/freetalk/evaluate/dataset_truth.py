@@ -16,8 +16,9 @@ from freetalk.data import (
     RegisteredDataset,
 )
 from freetalk.data.landmarks import INNER_LIP_PAIRS
+from freetalk.data.pose import Pose
 from freetalk.evaluate.masks import Pairs, landmark_masks, landmark_pairs
-from freetalk.evaluate.motion_files import FloatArray, MotionFile, Phones, guess_kind
+from freetalk.evaluate.motion_files import FloatArray, MotionFile, Origin, Phones, guess_kind
 
 LANDMARKS = "landmarks"
 
@@ -42,7 +43,8 @@ class DatasetTruth:
         if not self._sequences:
             raise DatasetError(f"{self.dataset.name} has no sequence in its split {self.split!r}")
         self.names = list(self._sequences)
-        self.fps = float(self.dataset.fps)
+        self.fps: float | None = float(self.dataset.fps)
+        self.up: tuple[float, float, float] | None = None  # motion comes out with +y up
         if self.topology is None:
             known = self.dataset.topologies(self.split)
             if len(known) != 1:
@@ -83,19 +85,26 @@ class DatasetTruth:
 
     def place(self, file: MotionFile, name: str, kind: str, scale: float | None) -> FloatArray:
         """A prediction in the dataset's frame: its files' unit and axes, or metres."""
-        neutral, own, rotation = self._frame_of(self._sequences[name])
-        own = scale or file.metres_per_unit or own
+        file.check_fits(self.fps, self.up)
+        pose, neutral = self._frame_of(self._sequences[name])
+        own = pose.scale
+        if scale is not None or file.stated.metres_per_unit is not None:
+            own = file.scale(scale, "--pred-unit")
         if kind == "auto" and file.is_displacement is not None:
             kind = "displacements" if file.is_displacement else "vertices"
         if kind == "auto":
-            kind = guess_kind(file.frames[0], neutral, own, name)
-        metres = file.frames * np.float32(own)
+            metres = None if neutral is None else neutral * np.float32(pose.scale)
+            kind = guess_kind(file.frames[0], metres, own, name)
+        frames = file.frames if own == pose.scale else file.frames * np.float32(own / pose.scale)
         if kind == "vertices":
             if neutral is None:
                 raise ValueError(f"{name}: landmarks must be displacements from the neutral face")
-            metres = metres - neutral
-        turned: FloatArray = metres if rotation is None else np.matmul(metres, rotation.T)
-        return turned
+            frames = frames - neutral
+        return pose.apply(frames)  # as the dataset does it, so that its own files score 0
+
+    def origin(self, name: str) -> Origin:
+        """Speaker and take of a sequence."""
+        return origin_of(self._sequences[name])
 
     def phones(self, name: str) -> Phones:
         """Phones of a sequence, where the dataset knows them."""
@@ -123,17 +132,17 @@ class DatasetTruth:
             "vertices": self.num_vertices,
         }
 
-    def _frame_of(
-        self, sequence: MotionSequence
-    ) -> tuple[FloatArray | None, float, FloatArray | None]:
-        """Neutral face in metres and the files' axes, metres per unit, rotation to our axes."""
-        dataset = self.dataset
+    def _frame_of(self, sequence: MotionSequence) -> tuple[Pose, FloatArray | None]:
+        """From the files' unit and axes to ours; the neutral face in theirs, which landmarks lack."""
+        dataset, sparse = self.dataset, self.topology == LANDMARKS
         if isinstance(dataset, RegisteredDataset):
-            rotation = np.asarray(dataset.pose.rotation, dtype=np.float32)
-            if self.topology == LANDMARKS:
-                return None, dataset.pose.scale, rotation
-            neutral = dataset.neutral(sequence) * np.float32(dataset.pose.scale)
-            return neutral, dataset.pose.scale, rotation
-        if self.topology == LANDMARKS:
-            return None, 1.0, None
-        return dataset.mesh(sequence.identity, str(self.topology)).vertices, 1.0, None
+            return dataset.pose, None if sparse else dataset.neutral(sequence)
+        pose = Pose(1.0, "m", np.eye(3, dtype=np.float32), "metres")
+        if sparse:
+            return pose, None
+        return pose, dataset.mesh(sequence.identity, str(self.topology)).vertices
+
+
+def origin_of(sequence: MotionSequence) -> Origin:
+    """Speaker and take of a sequence; recordings of a source that names no voice have one speaker."""
+    return Origin(sequence.voice or sequence.source, sequence.take)

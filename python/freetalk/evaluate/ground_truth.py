@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -17,16 +17,20 @@ from freetalk.evaluate.masks import Pairs, landmark_masks, landmark_pairs
 from freetalk.evaluate.motion_files import (
     FloatArray,
     MotionFile,
+    Origin,
     Phones,
+    agreed,
     guess_kind,
     motion_paths,
     read_motion,
+    read_stated,
     read_templates,
     speaker_of,
     unit_scale,
 )
 
 _AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".mp3")
+_T = TypeVar("_T", bound="float | tuple[float, ...]")
 
 
 class GroundTruth(Protocol):
@@ -34,7 +38,8 @@ class GroundTruth(Protocol):
 
     names: list[str]
     num_vertices: int
-    fps: float
+    fps: float | None
+    up: tuple[float, float, float] | None
     masks: dict[str, Mask]
     lip_pairs: Pairs | None
 
@@ -52,8 +57,14 @@ class GroundTruth(Protocol):
             file: what was read.
             name: its sequence.
             kind: ``vertices``, ``displacements``, or ``auto``.
-            scale: metres per unit of the file; ``None``: that of the ground truth's files.
+            scale: metres per unit of a file that does not say it; ``None``: as the ground truth's.
+
+        Raises:
+            ValueError: its unit is not known, or its frame rate, axes or kind are not the ground truth's.
         """
+
+    def origin(self, name: str) -> Origin:
+        """Who speaks, and in which take: what sequences have in common."""
 
     def phones(self, name: str) -> Phones:
         """(start in s, end in s, ARPABET label); empty where none are known."""
@@ -70,23 +81,23 @@ class GroundTruth(Protocol):
 
 @dataclass(frozen=True)
 class FolderSettings:
-    """What a folder of motion does not say itself.
+    """What a folder of motion does not say itself; what its files say must not differ from it.
 
     Attributes:
-        unit: m, cm, mm, in, or metres per unit.
-        kind: ``vertices``, ``displacements``, or ``auto``: by comparison with the neutral face, else
-            by size.
-        templates: neutral faces by speaker.
-        fps: frames per second.
+        unit: m, cm, mm, in, or metres per unit; ``None``: as each file says.
+        kind: ``vertices``, ``displacements``, or ``auto``: as each file says, else by comparison with
+            the neutral face, else by size.
+        templates: neutral faces by speaker, in ``unit``.
+        fps: frames per second; ``None``: as the files say.
         wav: folder of recordings, named as the motion.
         phones: JSON, sequence to a list of (start in s, end in s, ARPABET label).
         emotions: JSON, sequence to label.
     """
 
-    unit: str = "m"
+    unit: str | None = None
     kind: str = "auto"
     templates: Path | None = None
-    fps: float = 30.0
+    fps: float | None = None
     wav: Path | None = None
     phones: Path | None = None
     emotions: Path | None = None
@@ -126,20 +137,27 @@ class FolderTruth:
         self.directory, self.settings = directory, settings
         self._paths = {path.stem: path for path in motion_paths(directory)}
         self.names = list(self._paths)
-        self.fps = settings.fps
-        self._scale = unit_scale(settings.unit)
+        self._unit = None if settings.unit is None else unit_scale(settings.unit)
         self._templates = {} if settings.templates is None else read_templates(settings.templates)
+        stated = {path: read_stated(path) for path in self._paths.values()}
+        own_fps = _common({path: own.fps for path, own in stated.items()}, "fps")
+        self.fps = agreed(own_fps, settings.fps, f"{directory}: frames per second", "--fps")
+        self.up: tuple[float, float, float] | None = _common(
+            {path: own.up for path, own in stated.items()}, "axis to the top of the head"
+        )
+        self.masks: dict[str, Mask] = {}
+        self.lip_pairs: Pairs | None = None
         first = read_motion(self._paths[self.names[0]])
         self.num_vertices = first.frames.shape[1]
+        if self.num_vertices == NUM_LANDMARKS:
+            self.masks, self.lip_pairs = landmark_masks(), landmark_pairs()
         for speaker, points in self._templates.items():
             if points.shape != (self.num_vertices, 3):
                 raise DatasetError(
                     f"{settings.templates}: the neutral face {speaker} has {len(points)} vertices, "
-                    f"{self._paths[self.names[0]]} has {self.num_vertices}"
+                    f"{first.path} has {self.num_vertices}"
                 )
-        is_sparse = self.num_vertices == NUM_LANDMARKS
-        self.masks = landmark_masks() if is_sparse else {}
-        self.lip_pairs: Pairs | None = landmark_pairs() if is_sparse else None
+        self._scale = first.scale(self._unit, "--unit")
         self.kind = self._kind_of(first, self.names[0], settings.kind, self._scale)
         self._phones = _read_json(settings.phones)
         self._emotions = _read_json(settings.emotions)
@@ -152,18 +170,20 @@ class FolderTruth:
     def motion(self, name: str) -> FloatArray:
         """(T, V, 3) m, relative to the neutral face where that is known."""
         file = read_motion(self._paths[name], self.num_vertices)
-        return self._placed(file, name, self.kind, self._scale)
+        scale = file.scale(self._unit, "--unit")
+        return self._placed(file, name, self.settings.kind, scale)
 
     def place(self, file: MotionFile, name: str, kind: str, scale: float | None) -> FloatArray:
         """A prediction in the frame of :meth:`motion`."""
-        own = scale or file.metres_per_unit or self._scale
-        kind = self._kind_of(file, name, kind, own)
-        if kind != self.kind and not self._templates:
-            raise ValueError(
-                f"{name}: the prediction is {kind}, the ground truth {self.kind}; give --templates to "
-                "compare them"
-            )
-        return self._placed(file, name, kind, own)
+        file.check_fits(self.fps, self.up)
+        given = self._unit if scale is None else scale
+        if scale is None and file.stated.metres_per_unit is not None:
+            given = None  # --unit is of the ground truth: a prediction's own word goes before it
+        return self._placed(file, name, kind, file.scale(given, "--pred-unit"))
+
+    def origin(self, name: str) -> Origin:
+        """The speaker, where templates name them; each sequence is a take."""
+        return Origin(speaker_of(name, self._templates) or "", name)
 
     def phones(self, name: str) -> Phones:
         """Phones of a sequence."""
@@ -207,7 +227,7 @@ class FolderTruth:
             raise DatasetError(
                 f"sequence {name} begins with none of the templates' names ({known} …)"
             )
-        return self._templates[speaker] * np.float32(self._scale)
+        return self._templates[speaker] * np.float32(self._unit or self._scale)
 
     def _kind_of(self, file: MotionFile, name: str, kind: str, scale: float) -> str:
         if kind != "auto":
@@ -217,9 +237,29 @@ class FolderTruth:
         return guess_kind(file.frames[0], self._neutral(name), scale, name)
 
     def _placed(self, file: MotionFile, name: str, kind: str, scale: float) -> FloatArray:
+        kind = self._kind_of(file, name, kind, scale)
+        if kind != self.kind and not self._templates:
+            raise ValueError(
+                f"{file.path} holds {kind}, the ground truth {self.kind}; give --templates to compare them"
+            )
         metres = file.frames * np.float32(scale)
         neutral = self._neutral(name) if kind == "vertices" else None
         return metres if neutral is None else metres - neutral
+
+
+def _common(stated: dict[Path, _T | None], what: str) -> _T | None:
+    """What all files that say it say alike.
+
+    Raises:
+        ValueError: two files differ.
+    """
+    found = [(path, value) for path, value in stated.items() if value is not None]
+    for path, value in found:
+        if not np.allclose(np.asarray(value), np.asarray(found[0][1]), rtol=1e-6, atol=1e-9):
+            raise ValueError(
+                f"{path} has another {what}, {value}, than {found[0][0]}, {found[0][1]}"
+            )
+    return found[0][1] if found else None
 
 
 def _read_json(path: Path | None) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from freetalk.data import DatasetError, Mask, index_hash, read_mask
+from freetalk.data import DatasetError, Mask, index_hash, parse_spec, read_mask
 from freetalk.data.landmarks import INNER_LIP_PAIRS, LIPS, UPPER_FACE
 
 #: Vertices of the upper lip, and those of the lower that face them.
@@ -61,7 +61,8 @@ def read_masks(given: Sequence[str], num_vertices: int) -> dict[str, Mask]:
     """
     masks: dict[str, Mask] = {}
     for text in given:
-        name, path = _named(text)
+        name, _, file = parse_spec(text)
+        path = Path(file)
         if not path.is_file():
             raise FileNotFoundError(f"there is no mask {path}")
         names = [name] if name else _names_of(path)
@@ -109,13 +110,6 @@ def describe_masks(masks: Mapping[str, Mask], num_vertices: int) -> dict[str, di
             "known_as": KNOWN_MASKS.get(key),
         }
     return result
-
-
-def _named(text: str) -> tuple[str, Path]:
-    name, equals, path = text.partition("=")
-    if not equals or "/" in name or Path(text).exists():
-        return "", Path(text)
-    return name, Path(path)
 
 
 def _names_of(path: Path) -> list[str]:

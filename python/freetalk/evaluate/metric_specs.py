@@ -147,6 +147,7 @@ PAPER = ("lve", "mve_mean", "fdd", "dtw", "dfd", "delta_m", "delta_cd")
 _DEFAULT = (*PAPER, "jitter_ratio", *EXTRAS)
 _NEEDS_PAIRS = ("lip_correlation", "lip_offset_ms", "audio_offset_ms", "closure_rate")
 _NEEDS_SAMPLES = ("diversity_vertex", "lve_mean_estimate", "lve_coverage")
+_NEEDS_RATE = ("jerk_energy", "lip_offset_ms", "audio_offset_ms", "closure_rate")
 _NEEDS_NEUTRAL = ("fdd", "fdd_abs", "closure_rate", "emotion_rate")
 
 
@@ -160,6 +161,7 @@ class Available:
     audio: bool
     emotions: bool
     neutral: bool
+    rate: bool
     samples: bool
 
 
@@ -236,6 +238,8 @@ def _lacking(spec: MetricSpec, has: Available) -> str | None:
             return "--lip-pairs"
     elif spec.mask != "all" and spec.mask not in has.masks:
         return f"a mask called {spec.mask} (--masks {spec.mask}=FILE)"
+    if spec.name in _NEEDS_RATE and not has.rate:
+        return "the frame rate (--fps)"
     if spec.name in _NEEDS_NEUTRAL and not has.neutral:
         return "neutral faces (--templates)"
     if spec.name == "closure_rate" and not has.phones:

@@ -2,26 +2,55 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from freetalk.data import DatasetError, NotFiniteError, load_pickle
+from freetalk.data.pose import UNITS
 from freetalk.data.templates import read_mesh
 
 FloatArray = npt.NDArray[np.float32]
 
 Phones = list[tuple[float, float, str]]
 
+
+class Origin(NamedTuple):
+    """Where a sequence comes from; sequences of one take are no independent observations.
+
+    Attributes:
+        speaker: empty where it is not known.
+        take: unique among the speaker's.
+    """
+
+    speaker: str
+    take: str
+
+
 SUFFIXES = (".npy", ".npz")
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 #: Names of the motion in an ``.npz``, and whether it is displacements.
 _KEYS = {"displacements": True, "vertices": False, "verts": False, "prediction": None, "pred": None}
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What a file says of its numbers; ``None`` where it says nothing.
+
+    Attributes:
+        metres_per_unit: its unit.
+        fps: frames per second.
+        up: (3,) its axis to the top of the head.
+    """
+
+    metres_per_unit: float | None = None
+    fps: float | None = None
+    up: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -29,14 +58,62 @@ class MotionFile:
     """The content of a file.
 
     Attributes:
+        path: the file.
         frames: (T, V, 3) float, the file's unit.
         is_displacement: where the file says so.
-        metres_per_unit: where the file says so.
+        stated: what else it says.
     """
 
+    path: Path
     frames: FloatArray
     is_displacement: bool | None = None
-    metres_per_unit: float | None = None
+    stated: Stated = Stated()
+
+    def scale(self, given: float | None, option: str) -> float:
+        """Metres per unit: the file's own, else what the user gave.
+
+        Raises:
+            ValueError: neither says it, or they differ.
+        """
+        found = agreed(self.stated.metres_per_unit, given, f"{self.path}: metres per unit", option)
+        if found is None:
+            raise ValueError(
+                f"{self.path} states no unit: give {option} (m, cm, mm, in, or metres per unit)"
+            )
+        return found
+
+    def check_fits(self, fps: float | None, up: tuple[float, float, float] | None) -> None:
+        """Makes sure that the file has the ground truth's frame rate and axes.
+
+        Raises:
+            ValueError: it has not, or the ground truth's rate is not known.
+        """
+        own = self.stated
+        if own.fps is not None and fps is None:
+            raise ValueError(
+                f"{self.path} has {own.fps:g} fps, the ground truth states none: give --fps"
+            )
+        if own.fps is not None and fps is not None and not math.isclose(own.fps, fps, rel_tol=1e-6):
+            raise ValueError(
+                f"{self.path} has {own.fps:g} fps, the ground truth {fps:g}: bring them to one rate"
+            )
+        if own.up is not None and up is not None and not np.allclose(own.up, up, atol=1e-6):
+            raise ValueError(
+                f"{self.path} has another axis to the top of the head, {own.up}, than the ground truth, {up}"
+            )
+
+
+def agreed(found: float | None, given: float | None, what: str, option: str) -> float | None:
+    """What a file says, else what the user gave.
+
+    Raises:
+        ValueError: they differ.
+    """
+    if found is None or given is None:
+        return given if found is None else found
+    if not math.isclose(found, given, rel_tol=1e-6):
+        raise ValueError(f"{what} {found:g}, but {option} says {given:g}")
+    return found
 
 
 def motion_paths(directory: Path) -> list[Path]:
@@ -58,7 +135,7 @@ def read_motion(path: Path, num_vertices: int | None = None) -> MotionFile:
         DatasetError: another shape or type, or no such array; not finite, with the frame.
     """
     is_displacement: bool | None = None
-    metres: float | None = None
+    stated = Stated()
     if path.suffix == ".npz":
         with np.load(path, allow_pickle=False) as archive:
             key = next((name for name in _KEYS if name in archive.files), None)
@@ -68,8 +145,7 @@ def read_motion(path: Path, num_vertices: int | None = None) -> MotionFile:
             key = key or archive.files[0]
             array = archive[key]
             is_displacement = _KEYS.get(key)
-            if "metres_per_unit" in archive.files:
-                metres = float(archive["metres_per_unit"])
+            stated = _stated(archive, path)
     else:
         try:
             array = np.load(path, mmap_mode="r", allow_pickle=False)
@@ -81,7 +157,31 @@ def read_motion(path: Path, num_vertices: int | None = None) -> MotionFile:
         raise NotFiniteError(
             f"{path}: frame {int(np.flatnonzero(~finite)[0])} holds NaN or infinity"
         )
-    return MotionFile(frames, is_displacement, metres)
+    return MotionFile(path, frames, is_displacement, stated)
+
+
+def read_stated(path: Path) -> Stated:
+    """What a file says of its numbers, without reading its motion."""
+    if path.suffix != ".npz":
+        return Stated()
+    with np.load(path, allow_pickle=False) as archive:
+        return _stated(archive, path)
+
+
+def _stated(archive: Any, path: Path) -> Stated:
+    def number(name: str) -> float | None:
+        if name not in archive.files:
+            return None
+        value = np.asarray(archive[name], dtype=np.float64)
+        if value.size != 1 or not (np.isfinite(value).all() and value.item() > 0):
+            raise DatasetError(f"{path}: {name} is {value}, expected one number above 0")
+        return float(value.item())
+
+    up = None
+    if "to_y_up" in archive.files:
+        x, y, z = np.asarray(archive["to_y_up"], dtype=np.float64).reshape(3, 3)[1].tolist()
+        up = (x, y, z)
+    return Stated(number("metres_per_unit"), number("fps"), up)
 
 
 def _frames(array: npt.NDArray[Any], path: Path, num_vertices: int | None) -> FloatArray:

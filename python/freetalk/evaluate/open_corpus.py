@@ -1,7 +1,5 @@
 """Scores of a folder of weights on the open corpus's test split.
 
-    python -m freetalk.evaluate.open_corpus --corpus DIR --pretrained DIR [--out scores.json]
-
 Landmarks to mesh: mean vertex error divided by that of a face that stays still, on identities and meshings that
 training never saw. Speech to landmarks: correlation of the inner-lip opening with the recorded one and with the
 audio's energy; lips closed at p, b, m. Affect: what a nearest-centroid classifier, fitted to the train split's
@@ -10,9 +8,7 @@ recorded motion, reads from generated faces; motion at intensity 3 against 1.
 
 from __future__ import annotations
 
-import argparse
-import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,11 +28,12 @@ from freetalk.evaluate.speech_motion import (
     correlation,
     log_energy,
 )
-from freetalk.evaluate.tables import plain_table
+from freetalk.evaluate.writers import plain_table
 from freetalk.train.stm_meshes import prepare_mesh
 
 FloatArray = npt.NDArray[np.float32]
 Scores = dict[str, Any]
+PARTS = ("stm", "ats", "emotions")
 
 
 def evaluate_stm(
@@ -219,39 +216,48 @@ def _flat(scores: Scores, prefix: str = "") -> Iterator[tuple[str, str]]:
             yield f"{prefix}{name}", shown
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Command-line entry."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--corpus", type=Path, required=True, help="folder of the open corpus")
-    parser.add_argument("--pretrained", type=Path, required=True, help="folder of the weights")
-    parser.add_argument("--parts", nargs="+", default=["stm", "ats", "emotions"])
-    parser.add_argument("--take", default="1114_3_15", help="held-out take of recorded speech")
-    parser.add_argument("--audio", type=Path, nargs="*", default=[], help="more recordings")
-    parser.add_argument("--samples", type=int, default=5, help="samples of the take")
-    parser.add_argument("--steps", type=int, help="denoising steps; default: the weights'")
-    parser.add_argument("--out", type=Path, help="JSON file to write")
-    given = parser.parse_args(arguments)
-    unknown = set(given.parts) - {"stm", "ats", "emotions"}
+def measure(
+    corpus: OpenCorpus,
+    pretrained: Path,
+    *,
+    parts: Sequence[str] = PARTS,
+    take: str = "1114_3_15",
+    audio: Sequence[Path] = (),
+    samples: int = 5,
+    steps: int | None = None,
+) -> Scores:
+    """Scores of a folder of weights.
+
+    Args:
+        corpus: whose test split is measured on.
+        pretrained: the folder.
+        parts: of ``PARTS``.
+        take: held-out take of recorded speech.
+        audio: further recordings, without motion.
+        samples: performances of the take.
+        steps: denoising steps; by default those of the weights.
+
+    Raises:
+        ValueError: an unknown part, or the corpus has no such take.
+    """
+    unknown = set(parts) - set(PARTS)
     if unknown:
-        parser.error(f"unknown part {sorted(unknown)[0]!r}; known: stm, ats, emotions")
-    corpus = OpenCorpus(given.corpus)
+        raise ValueError(f"unknown part {sorted(unknown)[0]!r}; known: {', '.join(PARTS)}")
     scores: Scores = {}
-    if "stm" in given.parts:
-        scores["stm"] = evaluate_stm(corpus, given.pretrained)
-    if {"ats", "emotions"} & set(given.parts):
-        model = SpeechToMotion(given.pretrained, given.steps)
-        if "ats" in given.parts:
-            scores["opening"] = evaluate_opening(corpus, model, given.take, given.samples)
+    if "stm" in parts:
+        scores["stm"] = evaluate_stm(corpus, pretrained)
+    if {"ats", "emotions"} & set(parts):
+        model = SpeechToMotion.of(pretrained, steps)
+        if "ats" in parts:
+            scores["opening"] = evaluate_opening(corpus, model, take, samples)
             scores["closures"] = evaluate_closures(corpus, model)
-            for path in given.audio:
+            for path in audio:
                 scores[f"energy {path.name}"] = evaluate_energy(model, path)
-        if "emotions" in given.parts:
+        if "emotions" in parts:
             scores["emotions"] = evaluate_emotions(corpus, model)
-    print(given.pretrained)
-    print(plain_table([("score", "value"), *_flat(scores)]))
-    if given.out:
-        given.out.write_text(json.dumps(scores, indent=2) + "\n")
+    return scores
 
 
-if __name__ == "__main__":
-    main()
+def table(scores: Scores) -> str:
+    """The scores as two columns of text."""
+    return plain_table([("score", "value"), *_flat(scores)])

@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -20,6 +19,7 @@ from freetalk.evaluate.metric_specs import Available, MetricSpec, choose_metrics
 from freetalk.evaluate.motion_files import (
     FloatArray,
     NameMatcher,
+    Origin,
     Phones,
     motion_paths,
     read_motion,
@@ -29,6 +29,9 @@ from freetalk.evaluate.motion_files import (
 _LEAST_FRAMES = {"jitter_ratio": 4, "jerk_energy": 4, "lip_correlation": 2} | dict.fromkeys(
     ("delta_m", "delta_m_l2", "delta_cd", "delta_cd_weighted"), 2
 )
+
+#: Share of a sequence by which lengths may differ: recorders and encoders stop some frames apart.
+_MOST_CUT = 0.1
 
 
 @dataclass
@@ -41,6 +44,7 @@ class System:
         files: samples of each sequence of the ground truth.
         strangers: files that belong to no sequence.
         cut: sequences whose length differs from the truth's: (predicted, true) frames.
+        frames: frames of each sequence that were scored.
     """
 
     name: str
@@ -48,6 +52,7 @@ class System:
     files: dict[str, list[Path]]
     strangers: list[Path]
     cut: dict[str, tuple[int, int]] = field(default_factory=dict)
+    frames: dict[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -57,10 +62,11 @@ class PredictionSettings:
     Attributes:
         metrics: see :func:`choose_metrics`.
         kind: ``vertices``, ``displacements`` or ``auto``.
-        scale: metres per unit of the files; ``None``: that of the ground truth's.
+        scale: metres per unit of files that do not say it; ``None``: that of the ground truth's.
         pattern: of file names, see :class:`NameMatcher`.
         strict: predictions without truth, truths without prediction, and differing lengths are errors.
-        up: unit vector to the top of the head, in the ground truth's axes.
+        up: unit vector to the top of the head, in the ground truth's axes; ``None``: as its files say,
+            else +y.
         max_offset_ms: largest offset between audio and lips that is looked for.
     """
 
@@ -69,7 +75,7 @@ class PredictionSettings:
     scale: float | None = None
     pattern: str | None = None
     strict: bool = False
-    up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    up: tuple[float, float, float] | None = None
     max_offset_ms: float = 300.0
 
 
@@ -83,8 +89,10 @@ class Scores:
         names: the sequences that all systems have.
         values: metric key, system, sequence to value (``None`` where it has none).
         reference: metric key, sequence to the value of the ground truth itself, where it has one.
-        weights: metric key, sequence to weight in the pooled mean.
-        frames: frames that were scored of each sequence (the fewest of all systems).
+        weights: metric key, sequence to weight in the pooled mean: of the ground truth, so that it is
+            the same for all systems.
+        origins: who speaks in each sequence, and its take.
+        frames: frames of each sequence of the ground truth.
         notes: what a reader must know.
     """
 
@@ -94,6 +102,7 @@ class Scores:
     values: dict[str, dict[str, dict[str, float]]]
     reference: dict[str, dict[str, float]]
     weights: dict[str, dict[str, float]]
+    origins: dict[str, Origin]
     frames: dict[str, int]
     notes: list[str]
 
@@ -142,8 +151,10 @@ def score_predictions(
 ) -> Scores:
     """Scores systems on the sequences that all of them have.
 
-    Differing lengths: both are cut to the shorter, as public evaluation code does, and the result says
-    how often; with ``strict`` they are an error. Several samples of a sequence count by their mean.
+    Differing lengths: a prediction and its truth are cut to the shorter of the two, as public evaluation
+    code does, whatever other systems predict, and the result says how often. More than a tenth of a
+    sequence, and with ``strict`` any frame, is an error. Several samples of a sequence count by their
+    mean.
 
     Args:
         folders: (name, folder) of each system.
@@ -162,6 +173,7 @@ def score_predictions(
         pairs=lip_pairs is not None,
         phones=any(truth.phones(name) for name in names),
         audio=truth.audio(names[0]) is not None,
+        rate=truth.fps is not None,
         emotions=_can_recognise(list(labels.values())),
         neutral=truth.has_neutral,
         samples=any(len(s.files[n]) > 1 for s in systems for n in names),
@@ -175,6 +187,7 @@ def score_predictions(
         values={spec.key: {s.name: {} for s in systems} for spec in specs},
         reference={spec.key: {} for spec in specs},
         weights={spec.key: {} for spec in specs},
+        origins={name: truth.origin(name) for name in names},
         frames={},
         notes=notes,
     )
@@ -187,12 +200,20 @@ def score_predictions(
 
 @dataclass(frozen=True)
 class _Clip:
-    """A sequence of the ground truth, cut to what is scored."""
+    """A sequence of the ground truth."""
 
     target: torch.Tensor
+    fps: float
     phones: Phones
-    bilabials: int
     energy: torch.Tensor | None
+
+    def cut(self, frames: int) -> _Clip:
+        """Its first frames."""
+        if frames >= len(self.target):
+            return self
+        heard = [phone for phone in self.phones if round(phone[0] * self.fps) < frames]
+        energy = None if self.energy is None else self.energy[:frames]
+        return _Clip(self.target[:frames], self.fps, heard, energy)
 
 
 class _Scorer:
@@ -209,6 +230,8 @@ class _Scorer:
         self._truth, self._settings, self._specs = truth, settings, specs
         self._indices = {name: torch.from_numpy(mask.indices) for name, mask in masks.items()}
         self._pairs = lip_pairs
+        self._up = settings.up or truth.up or (0.0, 1.0, 0.0)
+        self._fps = truth.fps or 0.0  # metrics of time are left out where no rate is known
         self._wanted = {spec.name for spec in specs}
         self._affect: dict[str, dict[str, torch.Tensor]] = {}
         #: Extent of the first true frame and the greatest true motion, for a note on units.
@@ -218,27 +241,28 @@ class _Scorer:
         """Adds the values of a sequence."""
         true = self._truth.motion(name)
         self.extent_m = max(self.extent_m, float(np.abs(true).max()))
-        samples = {system.name: self._samples(system, name, true) for system in scores.systems}
-        length = min(len(true), *(len(one) for group in samples.values() for one in group))
-        scores.frames[name] = length
-        clip = self._clip(name, torch.from_numpy(true[:length]))
+        scores.frames[name] = len(true)
+        clip = self._clip(name, torch.from_numpy(true))
+        bilabials = sum(label in metrics.BILABIALS for _, _, label in clip.phones)
         for spec in self._specs:
-            weight = {"frames": length, "phones": clip.bilabials}.get(spec.pooling, 1)
+            weight = {"frames": len(true), "phones": bilabials}.get(spec.pooling, 1)
             scores.weights[spec.key][name] = float(weight)
             own = self._reference(spec, clip)
             if own is not None:
                 scores.reference[spec.key][name] = spec.factor * own
         if "emotion_rate" in self._wanted:
             self._affect.setdefault("", {})[name] = self._features(clip.target)
-        for system, group in samples.items():
-            tensors = [torch.from_numpy(one[:length]) for one in group]
+        for system in scores.systems:
+            samples = self._samples(system, name, true)
+            length = system.frames[name] = min(len(true), *(len(one) for one in samples))
+            tensors = [torch.from_numpy(one[:length]) for one in samples]
             for spec in self._specs:
-                value = self._value(spec, tensors, clip)
+                value = self._value(spec, tensors, clip.cut(length))
                 if value is not None:
-                    scores.values[spec.key][system][name] = spec.factor * value
+                    scores.values[spec.key][system.name][name] = spec.factor * value
             if "emotion_rate" in self._wanted:
                 features = [self._features(one) for one in tensors]
-                self._affect.setdefault(system, {})[name] = torch.stack(features).mean(0)
+                self._affect.setdefault(system.name, {})[name] = torch.stack(features).mean(0)
 
     def add_emotions(self, labels: dict[str, str | None], scores: Scores) -> None:
         """Adds the recognised emotions, which need all sequences at once."""
@@ -268,7 +292,8 @@ class _Scorer:
             samples.append(self._truth.place(file, name, self._settings.kind, self._settings.scale))
             if len(samples[-1]) != len(true):
                 system.cut[name] = (len(samples[-1]), len(true))
-                if self._settings.strict:
+                allowed = 0 if self._settings.strict else _MOST_CUT * len(true)
+                if abs(len(samples[-1]) - len(true)) > allowed:
                     raise ValueError(
                         f"{path} has {len(samples[-1])} frames, the ground truth {len(true)}"
                     )
@@ -276,12 +301,11 @@ class _Scorer:
 
     def _clip(self, name: str, target: torch.Tensor) -> _Clip:
         phones = self._truth.phones(name) if "closure_rate" in self._wanted else []
-        heard = [p for p in phones if 0 <= round(p[0] * self._truth.fps) < len(target)]
+        heard = [p for p in phones if 0 <= round(p[0] * self._fps) < len(target)]
         energy = None
         if "audio_offset_ms" in self._wanted and (sound := self._truth.audio(name)) is not None:
-            energy = metrics.log_energy(sound[0], len(target), self._truth.fps, sound[1])
-        bilabials = sum(label in metrics.BILABIALS for _, _, label in heard)
-        return _Clip(target, heard, bilabials, energy)
+            energy = metrics.log_energy(sound[0], len(target), self._fps, sound[1])
+        return _Clip(target, self._fps, heard, energy)
 
     def _value(self, spec: MetricSpec, samples: list[torch.Tensor], clip: _Clip) -> float | None:
         """Of one system and sequence; ``None`` where the sequence has no such value."""
@@ -298,7 +322,7 @@ class _Scorer:
         if spec.name in metrics.METRICS:
             found = [
                 metrics.vertex_metric(
-                    spec.name, one, clip.target, vertices=mask, fps=self._truth.fps
+                    spec.name, one, clip.target, vertices=mask, fps=self._fps
                 ).item()
                 for one in samples
             ]
@@ -314,30 +338,30 @@ class _Scorer:
             return float(metrics.correlation(opening, true))
         if spec.name == "closure_rate":
             largest = max(float(true.max()), 1e-6)
-            closed = metrics.lip_closures(opening, clip.phones, self._truth.fps, largest=largest)
+            closed = metrics.lip_closures(opening, clip.phones, self._fps, largest=largest)
             return float(np.mean(closed)) if closed else None
         leader = true if spec.name == "lip_offset_ms" else clip.energy
         if leader is None or not self._long_enough(len(true)):
             return None
         limit = self._settings.max_offset_ms
-        found = metrics.best_offset(opening, leader, self._truth.fps, max_offset_ms=limit)
+        found = metrics.best_offset(opening, leader, self._fps, max_offset_ms=limit)
         return found.offset_ms
 
     def _reference(self, spec: MetricSpec, clip: _Clip) -> float | None:
         """What the ground truth itself scores, where that is not the ideal by definition."""
         if spec.name == "jerk_energy" and len(clip.target) >= _LEAST_FRAMES[spec.name]:
             mask = self._indices.get(spec.mask)
-            return float(metrics.jerk_energy(clip.target, self._truth.fps, vertices=mask))
+            return float(metrics.jerk_energy(clip.target, self._fps, vertices=mask))
         if spec.name in ("closure_rate", "audio_offset_ms"):
             return self._lip_value(spec, clip.target, clip)
         return None
 
     def _opening(self, motion: torch.Tensor) -> torch.Tensor:
         assert self._pairs is not None
-        return metrics.lip_opening(motion, *self._pairs, up=self._settings.up)
+        return metrics.lip_opening(motion, *self._pairs, up=self._up)
 
     def _long_enough(self, frames: int) -> bool:
-        return frames >= int(self._settings.max_offset_ms * self._truth.fps / 1000 + 1e-9) + 4
+        return frames >= int(self._settings.max_offset_ms * self._fps / 1000 + 1e-9) + 4
 
     def _features(self, motion: torch.Tensor) -> torch.Tensor:
         return metrics.affect_features(motion, vertices=self._indices["upper"])
@@ -355,25 +379,3 @@ def _check_size(largest_m: float, scores: Scores) -> None:
             f"the true motion reaches {largest_m:.2g} m: is the unit right (--unit)? Numbers in mm are "
             "meaningless otherwise"
         )
-
-
-def describe_systems(scores: Scores, truth: GroundTruth) -> list[dict[str, Any]]:
-    """What results say of each folder: how many of its files were scored, and which were cut."""
-    result = []
-    for system in scores.systems:
-        samples = [len(system.files[name]) for name in scores.names]
-        differences = [abs(a - b) for a, b in system.cut.values()]
-        result.append(
-            {
-                "name": system.name,
-                "source": str(system.directory),
-                "sequences": len(scores.names),
-                "sequences_of_ground_truth": len(truth.names),
-                "sequences_of_its_own": len(system.files),
-                "samples": sum(samples),
-                "files_of_no_sequence": [path.name for path in system.strangers],
-                "sequences_cut": len(system.cut),
-                "most_frames_cut": max(differences, default=0),
-            }
-        )
-    return result

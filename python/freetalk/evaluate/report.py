@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
-
-import torch
 
 import freetalk
 from freetalk import metrics
 from freetalk.data import Mask
+from freetalk.evaluate.clusters import cluster_means, clusters_of
 from freetalk.evaluate.ground_truth import GroundTruth
 from freetalk.evaluate.masks import describe_masks
 from freetalk.evaluate.metric_specs import MetricSpec
-from freetalk.evaluate.predictions import Scores, describe_systems
+from freetalk.evaluate.predictions import Scores
 
 FORMAT = "freetalk-scores"
 #: Metrics that by their nature not every sequence has.
@@ -49,9 +49,10 @@ def make_report(
     """A result that can be written as JSON and printed as a table.
 
     Every metric has, for each system, the pooled mean with its interval and the values of the
-    sequences; with several systems, paired tests against the baseline. Tests compare distances from the
-    ideal, so that a signed metric (FDD) is better the nearer it is to 0. ``p_holm`` is the permutation
-    test's p-value corrected for all metrics and systems of the report.
+    sequences; with several systems, paired tests against the baseline. Intervals and tests draw whole
+    speakers or takes (:func:`clusters_of`). Tests compare distances from the ideal, so that a signed
+    metric (FDD) is better the nearer it is to 0. ``p_holm`` is the permutation test's p-value corrected
+    for all metrics and systems of the report.
 
     Raises:
         ValueError: no system is called as the baseline is.
@@ -60,13 +61,14 @@ def make_report(
     baseline = settings.baseline or names[0]
     if baseline not in names:
         raise ValueError(f"no system is called {baseline!r}; there are {', '.join(names)}")
-    rows = [_row(spec, scores, settings) for spec in scores.specs]
+    unit, clusters = clusters_of(scores.origins)
+    rows = [_row(spec, scores, clusters, settings) for spec in scores.specs]
     others = [name for name in names if name != baseline]
     tests = [
         test
         for spec, row in zip(scores.specs, rows)
         for name in others
-        if (test := _compare(spec, row, scores, name, baseline, settings)) is not None
+        if (test := _compare(spec, row, scores, clusters, name, baseline, settings)) is not None
     ]
     for test, corrected in zip(tests, metrics.holm([t["p_permutation"] for t in tests])):
         test["p_holm"] = corrected
@@ -81,7 +83,9 @@ def make_report(
         "baseline": baseline if others else None,
         "metrics": rows,
         "statistics": {
-            "intervals": f"{settings.method} bootstrap over sequences",
+            "intervals": f"{settings.method} bootstrap over {unit}",
+            "drawn": unit,
+            "count": len(set(clusters.values())),
             "confidence": settings.confidence,
             "resamples": settings.num_resamples,
             "seed": settings.seed,
@@ -91,18 +95,17 @@ def make_report(
 
 
 def pooled(
-    spec: MetricSpec,
     values: dict[str, float],
     weights: dict[str, float],
+    clusters: Mapping[str, str],
     settings: StatisticsSettings,
 ) -> dict[str, Any]:
     """Mean, interval and the values that they are of."""
     options = metrics.BootstrapOptions(
         num_resamples=settings.num_resamples, confidence=settings.confidence, method=settings.method
     )
-    interval = metrics.bootstrap_mean(
-        list(values.values()), [weights[n] for n in values], options=options, seed=settings.seed
-    )
+    _, means, sums = cluster_means(values, weights, clusters)
+    interval = metrics.bootstrap_mean(means, sums, options=options, seed=settings.seed)
     return {
         "mean": interval.mean,
         "low": _known(interval.low),
@@ -112,7 +115,9 @@ def pooled(
     }
 
 
-def _row(spec: MetricSpec, scores: Scores, settings: StatisticsSettings) -> dict[str, Any]:
+def _row(
+    spec: MetricSpec, scores: Scores, clusters: Mapping[str, str], settings: StatisticsSettings
+) -> dict[str, Any]:
     weights = scores.weights[spec.key]
     reference = scores.reference[spec.key]
     return {
@@ -126,11 +131,11 @@ def _row(spec: MetricSpec, scores: Scores, settings: StatisticsSettings) -> dict
         "formula": spec.formula,
         "source": spec.source,
         "systems": {
-            name: pooled(spec, values, weights, settings)
+            name: pooled(values, weights, clusters, settings)
             for name, values in scores.values[spec.key].items()
             if values
         },
-        "ground_truth": pooled(spec, reference, weights, settings) if reference else None,
+        "ground_truth": pooled(reference, weights, clusters, settings) if reference else None,
         "paired": {},
     }
 
@@ -139,6 +144,7 @@ def _compare(
     spec: MetricSpec,
     row: dict[str, Any],
     scores: Scores,
+    clusters: Mapping[str, str],
     name: str,
     baseline: str,
     settings: StatisticsSettings,
@@ -148,23 +154,46 @@ def _compare(
     shared = [n for n in ours if n in theirs]
     if not shared or math.isnan(spec.ideal):
         return None
-    a = torch.tensor([spec.distance(ours[n]) for n in shared], dtype=torch.float64)
-    b = torch.tensor([spec.distance(theirs[n]) for n in shared], dtype=torch.float64)
-    weights = torch.tensor([scores.weights[spec.key][n] for n in shared], dtype=torch.float64)
+    near = [{n: spec.distance(values[n]) for n in shared} for values in (ours, theirs)]
+    weights = scores.weights[spec.key]
+    (_, a, sums), (_, b, _) = (cluster_means(one, weights, clusters) for one in near)
     permutation = metrics.permutation_test(
-        a, b, weights, num_resamples=settings.num_resamples, seed=settings.seed
+        a, b, sums, num_resamples=settings.num_resamples, seed=settings.seed
     )
     wilcoxon = metrics.wilcoxon_test(a, b)
     test = {
         "against": baseline,
         "difference": permutation.statistic,
-        "sequences_better": int((a < b).sum()),
-        "sequences_worse": int((a > b).sum()),
+        "sequences_better": sum(near[0][n] < near[1][n] for n in shared),
+        "sequences_worse": sum(near[0][n] > near[1][n] for n in shared),
         "p_permutation": permutation.p_value,
         "p_wilcoxon": wilcoxon.p_value,
     }
     row["paired"][name] = test
     return test
+
+
+def describe_systems(scores: Scores, truth: GroundTruth) -> list[dict[str, Any]]:
+    """What results say of each folder: how many of its files were scored, and which were cut."""
+    result = []
+    for system in scores.systems:
+        samples = [len(system.files[name]) for name in scores.names]
+        differences = [abs(a - b) for a, b in system.cut.values()]
+        result.append(
+            {
+                "name": system.name,
+                "source": str(system.directory),
+                "sequences": len(scores.names),
+                "sequences_of_ground_truth": len(truth.names),
+                "sequences_of_its_own": len(system.files),
+                "frames": sum(system.frames.values()),
+                "samples": sum(samples),
+                "files_of_no_sequence": [path.name for path in system.strangers],
+                "sequences_cut": len(system.cut),
+                "most_frames_cut": max(differences, default=0),
+            }
+        )
+    return result
 
 
 def _notes(scores: Scores) -> list[str]:
@@ -174,7 +203,7 @@ def _notes(scores: Scores) -> list[str]:
             most = max(abs(a - b) for a, b in system.cut.values())
             notes.append(
                 f"{system.name}: {len(system.cut)} of {len(scores.names)} sequences differ in length from "
-                f"the ground truth, by at most {most} frames; both were cut to the shorter"
+                f"the ground truth, by at most {most} frames; prediction and truth were cut to the shorter"
             )
         if system.strangers:
             notes.append(

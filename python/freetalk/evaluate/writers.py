@@ -11,6 +11,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from freetalk._files import write_text
+
 Report = dict[str, Any]
 _ARROWS = {"down": "↓", "up": "↑", "near": "→"}
 _SIGNIFICANT = 0.05
@@ -168,10 +170,7 @@ def write_report(report: Report, path: Path) -> None:
     """
     if path.suffix not in FORMATS:
         raise ValueError(f"'{path}' does not say what to write: end it in {', '.join(FORMATS)}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.partial")
-    temporary.write_text(FORMATS[path.suffix](report))
-    temporary.replace(path)
+    write_text(path, FORMATS[path.suffix](report))
 
 
 def _cells(score: dict[str, Any] | None) -> list[str]:
@@ -206,7 +205,8 @@ def _footer(report: Report) -> list[str]:
     where = truth.get("source") or truth.get("name")
     lines = [
         f"Ground truth: {where}, {truth['sequences_scored']} sequences, {report['frames']} frames, "
-        f"{truth['vertices']} vertices, {truth['fps']:g} fps"
+        f"{truth['vertices']} vertices, "
+        + ("no frame rate" if truth["fps"] is None else f"{truth['fps']:g} fps")
         + (f", {unit:g} m per unit." if unit is not None else ", metres.")
     ]
     for name, mask in report["masks"].items():
@@ -217,11 +217,12 @@ def _footer(report: Report) -> list[str]:
         )
     percent = 100 * statistics["confidence"]
     lines.append(
-        f"Intervals: {percent:g} %, {statistics['intervals']}, {statistics['resamples']} resamples."
+        f"Intervals: {percent:g} %, {statistics['intervals']} ({statistics['count']}), "
+        f"{statistics['resamples']} resamples."
     )
     if report["baseline"]:
         lines.append(
-            f"p: paired permutation test against {report['baseline']}, Holm-corrected over all metrics."
+            f"p: paired permutation test over {statistics['drawn']} against {report['baseline']}, Holm-corrected over all metrics."
         )
     lines += [f"Note: {note}." for note in report["notes"]]
     return lines

@@ -246,7 +246,7 @@ def delta_m_l2(
 def delta_cd(
     pred: Array, target: Array, *, vertices: Array | None = None, valid: Array | None = None
 ) -> torch.Tensor:
-    """Cosine displacement error, 0 to 2; 1 where one of the steps is 0, about 1 where it is noise."""
+    """Cosine displacement error, 0 to 2; 1 where one step alone is 0, about 1 where it is noise."""
     return vertex_metric("delta_cd", pred, target, vertices=vertices, valid=valid)
 
 

@@ -8,9 +8,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy import stats
+import numpy.typing as npt
 
 from freetalk import metrics
+from freetalk.evaluate.clusters import cluster_means, clusters_of
+from freetalk.evaluate.motion_files import Origin
+
+#: Trainings of each row that a verdict needs; fewer leave a claim undecided, however clear the clips are.
+MIN_SEEDS = 3
+_DRAWS = 10000
 
 HELD, OPPOSITE, UNDECIDED = "held", "did not hold", "not decided by this budget"
 _Clip = tuple[str, str]
@@ -50,11 +56,14 @@ class Verdict:
         difference: mean of less - more, as a share of the mean of `more`.
         low: lower end of its 95 % interval.
         high: upper end.
-        p_value: of a permutation test over clips that the two are alike, corrected for the table's
-            claims (Holm); 1 for a claim with a margin, which asks no such question.
+        p_value: twice the share of the draws behind the interval in which the order is the other,
+            corrected for the table's claims (Holm); 1 for a claim with a margin, which asks no such
+            question.
         clips: how many were compared.
-        seed_spread: standard deviation of a row's mean over seeds, as a share of it, that the interval
-            includes; 0 where no row has several runs.
+        drawn: what was drawn as a whole, ``speakers`` or ``takes``, and how many there are.
+        seeds: the fewest trainings of a row that is compared.
+        seed_spread: standard deviation of a row's mean over seeds, as a share of it, that interval and
+            p-value include; 0 where no row has several runs.
     """
 
     claim: Claim
@@ -64,11 +73,13 @@ class Verdict:
     high: float
     p_value: float
     clips: int
+    drawn: tuple[str, int]
+    seeds: int
     seed_spread: float
 
     def to_dict(self) -> dict[str, Any]:
         """As stored."""
-        own = ("outcome", "difference", "low", "high", "p_value", "clips", "seed_spread")
+        own = ("outcome", "difference", "p_value", "clips", "seeds", "seed_spread")
         claim = self.claim
         return {
             "claim": claim.text,
@@ -78,6 +89,9 @@ class Verdict:
             "metric": claim.metric,
             "dataset": claim.dataset or "all",
             "margin": claim.margin,
+            "low": None if math.isnan(self.low) else self.low,
+            "high": None if math.isnan(self.high) else self.high,
+            "drawn": {"what": self.drawn[0], "count": self.drawn[1]},
             **{name: getattr(self, name) for name in own},
         }
 
@@ -87,16 +101,18 @@ def judge(
 ) -> list[Verdict]:
     """Verdicts on the claims whose rows are there.
 
-    The interval of a difference is bootstrapped over clips (BCa, 95 %), each weighted by its frames, and
-    widened by what other seeds change: t s sqrt(v), where s is the standard deviation of a row's mean over
-    its runs, as a share of it, pooled over all rows that have several, t Student's quantile for its degrees
-    of freedom, and v = sum 1 / (n^2 k) over the n rows of each side with k runs. A claim of order held where
-    the whole interval is below 0, and its opposite where it is above.
+    Interval (95 %) and p-value come from the same draws of the difference. A draw takes speakers or takes
+    (:func:`clusters_of`) with replacement, each clip weighted by its frames, stretched by sqrt(n / (n - 1))
+    for the n of them, and adds what other seeds change: s sqrt(v) t, where s is the standard deviation of
+    a row's mean over its runs, as a share of it, pooled over all rows that have several, v = sum 1 /
+    (m^2 k) over the m rows of each side with k runs, and t is drawn from Student's distribution with its
+    degrees of freedom. A claim of order held where the whole interval is below 0, and its opposite where
+    it is above; with fewer than ``MIN_SEEDS`` trainings of a row, or fewer than two takes, neither did.
 
     Args:
         claims: of a table.
         rows: results by name, each with ``scores`` and ``runs``.
-        seed: of the bootstrap.
+        seed: of the draws.
     """
     found = []
     for claim in claims:
@@ -117,39 +133,69 @@ def _judge(claim: Claim, rows: Mapping[str, Mapping[str, Any]], seed: int) -> Ve
     if len(clips) < 2:
         return None
     frames = _frames(rows[claim.less[0]])
-    weights = np.array([frames[clip] for clip in clips], dtype=np.float64)
-    less, more = (
-        np.array([[one[c] for c in clips] for one in side]).mean(axis=0) for side in sides
+    weights = {clip: float(frames[clip]) for clip in clips}
+    less, more = ({c: float(np.mean([one[c] for one in side])) for c in clips} for side in sides)
+    scale = float(np.average(list(more.values()), weights=list(weights.values()))) or 1.0
+    unit, clusters = clusters_of(origins_of(rows[claim.less[0]], clips))
+    differences = {clip: (less[clip] - more[clip]) / scale for clip in clips}
+    _, means, sums = cluster_means(differences, weights, clusters)
+    spread, degrees = _seed_spread(claim, rows)
+    runs = [len(rows[name]["runs"]) for name in (*claim.less, *claim.more)]
+    sizes = [len(side) for side in (claim.less, claim.more) for _ in side]
+    noise = spread * math.sqrt(sum(1 / (size**2 * k) for size, k in zip(sizes, runs)))
+    difference = float(np.average(means, weights=sums))
+    low = high = math.nan
+    p_value, outcome = 1.0, UNDECIDED
+    if len(means) > 1:
+        draws = _draws(means, sums, noise, degrees, seed)
+        low, high = (float(q) for q in np.quantile(draws, (0.025, 0.975)))
+        if claim.margin == 0:
+            least = min(int((draws <= 0).sum()), int((draws >= 0).sum()))
+            p_value = min(1.0, 2 * (least + 1) / (len(draws) + 1))
+        outcome = _outcome(low, high, claim.margin) if min(runs) >= MIN_SEEDS else UNDECIDED
+    return Verdict(
+        claim=claim,
+        outcome=outcome,
+        difference=difference,
+        low=low,
+        high=high,
+        p_value=p_value,
+        clips=len(clips),
+        drawn=(unit, len(means)),
+        seeds=min(runs),
+        seed_spread=spread,
     )
-    scale = float((more * weights).sum() / weights.sum()) or 1.0
-    interval = metrics.bootstrap_mean((less - more) / scale, weights, seed=seed)
-    spread, quantile = _seed_spread(claim, rows)
-    shares = [
-        1 / (len(side) ** 2 * len(rows[name]["runs"]))
-        for side in (claim.less, claim.more)
-        for name in side
-    ]
-    extra = quantile * spread * math.sqrt(sum(shares))
-    low = interval.mean - math.hypot(interval.mean - interval.low, extra)
-    high = interval.mean + math.hypot(interval.high - interval.mean, extra)
-    p_value = 1.0
-    if claim.margin == 0:
-        p_value = metrics.permutation_test(less, more, weights, seed=seed).p_value
-    outcome = _outcome(low, high, claim.margin)
-    return Verdict(claim, outcome, interval.mean, low, high, p_value, len(clips), spread)
 
 
-def _seed_spread(claim: Claim, rows: Mapping[str, Mapping[str, Any]]) -> tuple[float, float]:
-    """Pooled standard deviation of a row's mean over its runs, as a share, and the t quantile."""
+def _draws(
+    means: npt.NDArray[np.float64],
+    sums: npt.NDArray[np.float64],
+    noise: float,
+    degrees: int,
+    seed: int,
+) -> npt.NDArray[np.float64]:
+    """Differences that other clusters and other seeds might have given, (draws,)."""
+    rng = np.random.default_rng(seed)
+    count = len(means)
+    chosen = rng.integers(count, size=(_DRAWS, count))
+    drawn = (means * sums)[chosen].sum(axis=1) / sums[chosen].sum(axis=1)
+    middle = np.average(means, weights=sums)
+    drawn = middle + math.sqrt(count / (count - 1)) * (drawn - middle)
+    if degrees > 0:
+        drawn += noise * rng.standard_t(degrees, _DRAWS)
+    result: npt.NDArray[np.float64] = drawn
+    return result
+
+
+def _seed_spread(claim: Claim, rows: Mapping[str, Mapping[str, Any]]) -> tuple[float, int]:
+    """Pooled standard deviation of a row's mean over its runs, as a share; its degrees of freedom."""
     squares, degrees = 0.0, 0
     for row in rows.values():
         means = [_mean(run, claim) for run in row["runs"]]
         if len(means) > 1:
             squares += (len(means) - 1) * float(np.var(means, ddof=1)) / float(np.mean(means)) ** 2
             degrees += len(means) - 1
-    if degrees == 0:
-        return 0.0, 0.0
-    return math.sqrt(squares / degrees), float(stats.t.ppf(0.975, degrees))
+    return (math.sqrt(squares / degrees), degrees) if degrees else (0.0, 0)
 
 
 def _outcome(low: float, high: float, margin: float) -> str:
@@ -182,3 +228,12 @@ def _frames(row: Mapping[str, Any]) -> dict[_Clip, int]:
         for name, scores in row["scores"].items()
         for clip, frames in scores["frames"].items()
     }
+
+
+def origins_of(row: Mapping[str, Any], clips: Sequence[_Clip]) -> dict[_Clip, Origin]:
+    """Speaker and take of clips, apart by test set; a clip without them is a take of its own."""
+    found = {}
+    for name, clip in clips:
+        speaker, take = row["scores"][name].get("origins", {}).get(clip, ("", clip))
+        found[name, clip] = Origin(speaker and f"{name}/{speaker}", f"{name}/{take}")
+    return found

@@ -29,10 +29,14 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
     """
     given = _parser(name).parse_args(arguments)
     size = SIZES[given.size]
-    catalogue = Catalogue(given.data, size.families)
+    catalogue = Catalogue(given.data, size.families, size.counterparts)
     encoder = [f"ats.task.speech_encoder={given.speech}"] if given.speech else []
     recipes = Recipes(size, given.seed, [*given.overrides, *encoder])
     table = TABLES[name](recipes, given.settings)
+    if size.name == "full" and not given.speech and any(row.ats for row in table.rows):
+        raise SystemExit(
+            "at size full the tables need the papers' speech encoder: give --speech DIR"
+        )
     run = TableRun(table, catalogue, given.work / size.name, given.speech, size.sampler)
     try:
         seeds = range(given.seed, given.seed + (given.seeds or size.seeds))
@@ -96,7 +100,7 @@ def _parser(name: str) -> argparse.ArgumentParser:
         "--seeds",
         type=int,
         default=0,
-        help="trainings of each row, by seed; 2 at size small, else 1",
+        help="trainings of each row, by seed; 3 at size small, else 1 (a claim needs 3 to be decided)",
     )
     parser.add_argument(
         "overrides", nargs="*", help="stm.section.key=value and ats.section.key=value"

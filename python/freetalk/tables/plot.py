@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from freetalk.evaluate.tables import number
+from freetalk.evaluate.writers import number
 
 _OURS, _THEIRS, _RUNS = "#2b6ca3", "#b9b9b9", "#f0a030"
 

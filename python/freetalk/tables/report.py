@@ -9,14 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from freetalk import metrics
-from freetalk.evaluate.tables import number
-from freetalk.tables.claims import judge
+from freetalk._files import write_json, write_text
+from freetalk.evaluate.clusters import cluster_means, clusters_of
+from freetalk.evaluate.writers import number
+from freetalk.tables.claims import MIN_SEEDS, judge, origins_of
 from freetalk.tables.plot import draw, is_still
 from freetalk.tables.scoring import pooling_of, title_of, unit_of
 from freetalk.tables.sets import Catalogue
 from freetalk.tables.sizes import Size
 from freetalk.tables.table import RowResult, Table
-from freetalk.train.checkpoint import git_commit, write_json
+from freetalk.train.checkpoint import git_commit
 
 FORMAT = "freetalk-table"
 ALL = "all"
@@ -34,10 +36,9 @@ def write_results(
 ) -> list[Path]:
     """Writes ``NAME.json``, ``NAME.md`` and ``NAME.png`` and returns their paths."""
     result = make_result(table, rows, size, catalogue, command, seed)
-    out.mkdir(parents=True, exist_ok=True)
     paths = [out / f"{table.name}.{ending}" for ending in ("json", "md", "png")]
     write_json(paths[0], result)
-    paths[1].write_text(markdown(result))
+    write_text(paths[1], markdown(result))
     draw(result, paths[2])
     return paths
 
@@ -126,7 +127,7 @@ def _heading(result: Mapping[str, Any]) -> str:
         f"- scored on {', '.join(result['tests'])}: test split, faces and meshings that no row was trained on"
         if result["is_open"]
         else f"- scored on {', '.join(result['tests'])}: test split",
-        "- [low, high]: 95 % bootstrap interval (BCa) over test clips; lower is better, FDD nearer to 0",
+        "- [low, high]: 95 % bootstrap interval (BCa) over the test split's speakers, or its takes where there are few; lower is better, FDD nearer to 0",
         *(f"- {note}" for note in result["notes"]),
     ]
     return lines[0] + "\n\n" + "\n".join(lines[1:])
@@ -213,7 +214,7 @@ def _claims(result: Mapping[str, Any]) -> str:
             f"**{claim['outcome']}**",
             f"{_percent(claim['difference'])} [{_percent(claim['low'])}, {_percent(claim['high'])}]",
             "" if claim["margin"] else f"{max(claim['p_value'], 1e-4):.2g}",
-            f"{claim['clips']}",
+            f"{claim['clips']} of {claim['drawn']['count']} {claim['drawn']['what']}",
         ]
         for claim in result["claims"]
     ]
@@ -221,15 +222,16 @@ def _claims(result: Mapping[str, Any]) -> str:
     spreads = {claim["metric"]: claim["seed_spread"] for claim in result["claims"]}
     shown = [f"{title_of(name)} {100 * spread:.1f} %" for name, spread in spreads.items() if spread]
     seeds = (
-        "Intervals include what other seeds change; standard deviation of a row's mean over seeds, pooled: "
+        "Both include what other seeds change; standard deviation of a row's mean over seeds, pooled: "
         f"{', '.join(shown)}."
         if shown
-        else "Each row is one training: intervals do not include what another seed changes."
+        else "Each row is one training: neither includes what another seed changes."
     )
     footer = (
         "Difference: of the first from the second, relative to the second, paired by clip, with its 95 % "
-        "interval. A claim held where the whole interval is on its side. p: permutation test over clips, "
-        f"Holm-corrected over the table. {seeds}"
+        "interval. p: that the order is the other, by the same draws as the interval, Holm-corrected over "
+        "the table. A claim held where the whole interval is on its side and each row has at least "
+        f"{MIN_SEEDS} trainings. {seeds}"
     )
     return _grid(header, lines) + "\n\n" + textwrap.fill(footer, 110)
 
@@ -237,23 +239,28 @@ def _claims(result: Mapping[str, Any]) -> str:
 def _pooled(
     row: RowResult, group: str, names: Sequence[str], seed: int
 ) -> dict[str, dict[str, Any]]:
+    tests = {test: own for test, own in row["scores"].items() if group in (ALL, test)}
+    clips = [(test, clip) for test, own in tests.items() for clip in own["frames"]]
+    _, clusters = clusters_of(origins_of(row, clips))
     found = {}
     for name in names:
-        values, weights = [], []
-        for test, scores in row["scores"].items():
-            if group in (ALL, test):
-                own = scores["values"].get(name, {})
-                values += list(own.values())
-                by_frames = pooling_of(name) == "frames"
-                weights += [float(scores["frames"][clip]) if by_frames else 1.0 for clip in own]
+        values = {
+            (test, clip): value
+            for test, own in tests.items()
+            for clip, value in own["values"].get(name, {}).items()
+        }
+        by_frames = pooling_of(name) == "frames"
+        weights = {(t, c): float(tests[t]["frames"][c]) if by_frames else 1.0 for t, c in values}
         if values:
-            interval = metrics.bootstrap_mean(values, weights, seed=seed)
-            several = len(values) > 1
+            drawn, means, sums = cluster_means(values, weights, clusters)
+            interval = metrics.bootstrap_mean(means, sums, seed=seed)
+            several = len(drawn) > 1
             found[name] = {
                 "mean": interval.mean,
                 "low": interval.low if several else None,
                 "high": interval.high if several else None,
                 "clips": len(values),
+                "drawn": len(drawn),
             }
     return found
 
@@ -277,6 +284,7 @@ def _rounded(scores: Mapping[str, Any]) -> dict[str, Any]:
     return {
         test: {
             "frames": own["frames"],
+            "origins": own.get("origins", {}),
             "values": {
                 metric: {clip: float(f"{value:.{_DIGITS}g}") for clip, value in values.items()}
                 for metric, values in own["values"].items()
@@ -322,8 +330,8 @@ def _interval(score: Mapping[str, Any] | None) -> str:
     return f"{mean} [{number(score['low'], 3)}, {number(score['high'], 3)}]"
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:+.1f} %"
+def _percent(share: float | None) -> str:
+    return "–" if share is None else f"{100 * share:+.1f} %"
 
 
 def _unit(unit: str) -> str:

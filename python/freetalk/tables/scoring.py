@@ -13,11 +13,12 @@ from tqdm import tqdm
 
 from freetalk import metrics
 from freetalk._pretrained import PRETRAINED
-from freetalk.ats import Ats, GenerateOptions, generate
 from freetalk.data import FaceMesh, MotionSequence, interpolate_frames
+from freetalk.evaluate.dataset_truth import origin_of
 from freetalk.evaluate.masks import landmark_masks
 from freetalk.evaluate.metric_specs import spec_of
-from freetalk.speech import SpeechEncoder, encode_speech
+from freetalk.evaluate.motion_files import Origin
+from freetalk.evaluate.pretrained import SpeechToMotion
 from freetalk.stm import Stm
 from freetalk.tables.views import DatasetView
 from freetalk.train.stm_meshes import PreparedMesh, prepare_mesh
@@ -38,20 +39,27 @@ class ClipScores:
     Attributes:
         values: metric, clip to value.
         frames: clip to its length, the weight in a mean over frames.
+        origins: clip to speaker and take, which clips have in common.
     """
 
     values: dict[str, dict[str, float]] = field(default_factory=dict)
     frames: dict[str, int] = field(default_factory=dict)
+    origins: dict[str, Origin] = field(default_factory=dict)
 
-    def add(self, clip: str, frames: int, values: Mapping[str, float]) -> None:
+    def add(self, clip: MotionSequence, frames: int, values: Mapping[str, float]) -> None:
         """Takes in the values of a clip."""
-        self.frames[clip] = frames
+        self.frames[clip.id] = frames
+        self.origins[clip.id] = origin_of(clip)
         for metric, value in values.items():
-            self.values.setdefault(metric, {})[clip] = value
+            self.values.setdefault(metric, {})[clip.id] = value
 
     def to_dict(self) -> dict[str, dict[str, object]]:
         """As stored."""
-        return {"values": dict(self.values), "frames": dict(self.frames)}
+        return {
+            "values": dict(self.values),
+            "frames": dict(self.frames),
+            "origins": dict(self.origins),
+        }
 
 
 def unit_of(metric: str) -> str:
@@ -115,7 +123,7 @@ def still_face(view: DatasetView, names: Sequence[str], on_landmarks: bool) -> C
         else:
             masks = face_masks(view.mesh(identity, topology))
             true = torch.from_numpy(view.vertex_displacements(topology, clip))
-        scores.add(clip.id, len(true), values_of(torch.zeros_like(true), true, names, masks))
+        scores.add(clip, len(true), values_of(torch.zeros_like(true), true, names, masks))
     return scores
 
 
@@ -168,7 +176,7 @@ class MeshScorer:
             true = torch.from_numpy(view.vertex_displacements(topology, clip, 0, len(motion)))
             length = min(len(guess), len(true))
             found = values_of(guess[:length], true[:length], self._names, masks)
-            scores.add(clip.id, length, found)
+            scores.add(clip, length, found)
         return scores
 
     def _face(self, view: DatasetView, identity: int, topology: str) -> tuple[PreparedMesh, Masks]:
@@ -191,30 +199,16 @@ class Speaker:
     """
 
     def __init__(self, directory: Path, encoder: str, sampler: Mapping[str, object]) -> None:
-        self._ats = Ats.from_pretrained(directory).eval()
-        folder = Path(encoder) if encoder else PRETRAINED / "open-small" / "speech"
-        self._encoder = SpeechEncoder.from_pretrained(folder).eval()
-        self._options = GenerateOptions(**sampler)
+        self._model = SpeechToMotion(encoder_folder(encoder), directory, sampler)
         self._made: dict[tuple[str, str], FloatArray] = {}
 
     def landmarks(self, view: DatasetView, clip: MotionSequence, seed: int) -> FloatArray:
         """(T, 68, 3) m at the view's frame rate."""
         if (view.name, clip.id) not in self._made:
-            fps = float(self._ats.options.fps)
-            emotion = torch.zeros(len(self._ats.options.emotions))
-            emotion[list(self._ats.options.emotions).index(view.emotions[clip.emotion])] = 1.0
-            with torch.no_grad():
-                sound = torch.from_numpy(np.array(view.audio(clip)))
-                features = encode_speech(self._encoder, sound, fps)
-                motion = generate(
-                    self._ats,
-                    features,
-                    emotion=emotion,
-                    intensity=float(clip.intensity),
-                    options=self._options,
-                    seed=seed,
-                )
-            self._made[view.name, clip.id] = _at_rate(motion, fps, clip)
+            features = self._model.features(view.audio(clip))
+            emotion = view.emotions[clip.emotion]
+            motion = self._model.motion(features, emotion, float(clip.intensity), seed)
+            self._made[view.name, clip.id] = _at_rate(motion, self._model.fps, clip)
         return self._made[view.name, clip.id]
 
     def score(self, view: DatasetView, names: Sequence[str]) -> ClipScores:
@@ -226,11 +220,16 @@ class Speaker:
             true = torch.from_numpy(view.landmarks(clip, 0, len(guess)))
             length = min(len(guess), len(true))
             found = values_of(guess[:length], true[:length], names, masks)
-            scores.add(clip.id, length, found)
+            scores.add(clip, length, found)
         return scores
 
 
-def _at_rate(motion: torch.Tensor, fps: float, clip: MotionSequence) -> FloatArray:
+def encoder_folder(given: str) -> Path:
+    """Folder of the speech encoder; the shipped one where none is given."""
+    return Path(given) if given else PRETRAINED / "open-small" / "speech"
+
+
+def _at_rate(motion: FloatArray, fps: float, clip: MotionSequence) -> FloatArray:
     """Motion at `fps` as the clip's frames, linear in between."""
     at = np.arange(clip.num_frames) * fps / clip.fps
-    return interpolate_frames(motion.numpy(), at[at <= len(motion) - 1 + 1e-6])
+    return interpolate_frames(motion, at[at <= len(motion) - 1 + 1e-6])

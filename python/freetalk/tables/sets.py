@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,6 +73,16 @@ SMALL_FAMILIES: dict[str, Meshings] = {
         "test": ("head_dec2000",),
     },
 }
+#: Of a corpus of size tiny, whose few sequences stand for several datasets at once.
+TINY_SETS = {
+    name: dataclasses.replace(own, emotional=None, voices=()) for name, own in OPEN_SETS.items()
+}
+_TINY: Meshings = {
+    "train": ("narrow_dec1500", "face_dec1200"),
+    "val": ("face_iso2500",),
+    "test": ("head_holes4000",),
+}
+TINY_FAMILIES: dict[str, Meshings] = {"face": _TINY, "narrow": _TINY, "head": _TINY}
 FULL_FAMILIES: dict[str, Meshings] = {
     "face": {
         "train": ("face_dec2500", "face_dec1200", "face_sub3500", "face_iso1000", "face_dec900"),
@@ -98,13 +109,19 @@ class Catalogue:
         specs: a folder of the open corpus, or ``NAME=DIR`` (``NAME:SPLIT=DIR``) of real ones, where a
             name is one of ``freetalk.tables.papers.DATASETS``.
         families: meshings of the open corpus's counterparts.
+        counterparts: what of the open corpus stands for each dataset.
 
     Raises:
         ValueError: an unknown name, or a plain folder that is not the open corpus.
     """
 
-    def __init__(self, specs: Sequence[str], families: Mapping[str, Meshings]) -> None:
-        self._families = families
+    def __init__(
+        self,
+        specs: Sequence[str],
+        families: Mapping[str, Meshings],
+        counterparts: Mapping[str, OpenSet] = OPEN_SETS,
+    ) -> None:
+        self._families, self._counterparts = families, counterparts
         self._datasets: dict[str, MotionDataset] = {}
         self._corpus: OpenCorpus | None = None
         for spec in specs:
@@ -129,14 +146,22 @@ class Catalogue:
         """A part of a dataset.
 
         Raises:
-            ValueError: it is not given, and neither is the open corpus.
+            ValueError: it is not given, and neither is the open corpus; the corpus is too small.
         """
         if name in self._datasets:
             return DatasetView(self._datasets[name], name, options)
         if self._corpus is None:
             raise ValueError(f"this row needs {name}: give --data {name}=DIR")
-        own = OPEN_SETS[name]
-        return DatasetView(self._corpus, name, options, own.holds, self._families[own.family])
+        own = self._counterparts[name]
+        meshings = self._families[own.family]
+        wanted = {topology for split in meshings.values() for topology in split}
+        lacking = sorted(wanted - set(self._corpus.topologies()))
+        if lacking:
+            raise ValueError(
+                f"{self._corpus.directory} has no meshing {lacking[0]}, which {name}'s counterpart needs: "
+                "build a larger corpus (freetalk corpus build --size small), or make the table at --size tiny"
+            )
+        return DatasetView(self._corpus, name, options, own.holds, meshings)
 
     def mixture(self, names: Sequence[str], options: ViewOptions) -> MotionDataset:
         """Several datasets as one; each keeps its meshes and frame rate."""
@@ -150,7 +175,7 @@ class Catalogue:
             if name in self._datasets:
                 sources[name] = self._datasets[name].name
             elif self._corpus is not None:
-                own = OPEN_SETS[name]
+                own = self._counterparts[name]
                 kind = {True: "emotional ", False: "neutral ", None: ""}[own.emotional]
                 made = {key: self._corpus.manifest.get(key) for key in ("size", "seed")}
                 sources[name] = (

@@ -5,7 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from freetalk.tables.sets import FULL_FAMILIES, SMALL_FAMILIES, Meshings
+from freetalk.tables.sets import (
+    FULL_FAMILIES,
+    OPEN_SETS,
+    SMALL_FAMILIES,
+    TINY_FAMILIES,
+    TINY_SETS,
+    Meshings,
+    OpenSet,
+)
 from freetalk.tables.views import ViewOptions
 
 
@@ -22,6 +30,7 @@ class Size:
         stm: clips that the landmarks-to-mesh stage of Tables 2 and 3 is trained on.
         ats: clips that the audio-to-landmarks stage is trained on and whole pipelines are scored on.
         families: meshings of the open corpus's counterparts.
+        counterparts: what of the open corpus stands for each dataset.
         sampler: options of the diffusion's sampling.
         seeds: how many seeds each row is trained with, where the command does not say.
     """
@@ -34,6 +43,7 @@ class Size:
     stm: ViewOptions
     ats: ViewOptions
     families: Mapping[str, Meshings]
+    counterparts: Mapping[str, OpenSet] = field(default_factory=lambda: OPEN_SETS)
     sampler: Mapping[str, object] = field(default_factory=dict)
     seeds: int = 1
 
@@ -80,7 +90,8 @@ TINY = Size(
         limits={"train": 4, "val": 2, "test": 3},
         identities={"test": 1},
     ),
-    families=SMALL_FAMILIES,
+    families=TINY_FAMILIES,
+    counterparts=TINY_SETS,
     sampler={"sampler": "dpmpp", "num_steps": 2},
 )
 
@@ -109,7 +120,7 @@ SMALL = Size(
     ),
     families=SMALL_FAMILIES,
     sampler={"sampler": "dpmpp", "num_steps": 20},
-    seeds=2,
+    seeds=3,
 )
 
 FULL = Size(

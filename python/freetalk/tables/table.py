@@ -13,18 +13,26 @@ from typing import Any
 
 from tqdm import tqdm
 
+from freetalk._files import content_hash, write_json
 from freetalk.evaluate import PredictionSettings, score_predictions
 from freetalk.evaluate.dataset_truth import DatasetTruth
 from freetalk.evaluate.metric_specs import spec_of
 from freetalk.tables.claims import Claim
-from freetalk.tables.scoring import ROUGHNESS, ClipScores, MeshScorer, Speaker, still_face
+from freetalk.tables.scoring import (
+    ROUGHNESS,
+    ClipScores,
+    MeshScorer,
+    Speaker,
+    encoder_folder,
+    still_face,
+)
 from freetalk.tables.sets import Catalogue
 from freetalk.tables.training import Trained, Training, train
 from freetalk.tables.views import DatasetView, ViewOptions
-from freetalk.train.checkpoint import git_commit, write_json
+from freetalk.train.checkpoint import git_commit
 
 #: Changes when stored rows are no longer comparable.
-_VERSION = 1
+_VERSION = 2
 RowResult = dict[str, Any]
 
 
@@ -108,6 +116,9 @@ class TableRun:
         self.table, self.catalogue, self.work = table, catalogue, work
         self._encoder, self._sampler = encoder, dict(sampler or {})
         self._views = {name: catalogue.view(name, table.view) for name in table.tests}
+        for name, view in self._views.items():
+            if not view.faces_of("test"):
+                raise ValueError(f"{name} has no test clip; {catalogue.describe().get(name, name)}")
         if any(row.stm is not None for row in table.rows):
             self._check_masks()
         self._speakers: dict[str, Speaker] = {}
@@ -165,7 +176,7 @@ class TableRun:
                     PredictionSettings(metrics=names),
                 )
                 values = {metric: found.values[metric][name] for metric in names}
-                scores[test] = ClipScores(values, found.frames).to_dict()
+                scores[test] = ClipScores(values, found.frames, found.origins).to_dict()
             run = {"predictions": str(directory), "trainings": [], "scores": scores}
             results.append(merged(name, [run]))
         return results
@@ -240,7 +251,7 @@ class TableRun:
             "tests": {name: view.fingerprint for name, view in self._views.items()},
             "metrics": list(self.table.metrics),
             "sampler": self._sampler if row.ats is not None else {},
-            "encoder": self._encoder,
+            "encoder": "" if row.ats is None else content_hash(encoder_folder(self._encoder)),
         }
         text = json.dumps(content, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
@@ -255,6 +266,7 @@ def merged(name: str, runs: Sequence[RowResult]) -> RowResult:
         "scores": {
             test: {
                 "frames": own["frames"],
+                "origins": own.get("origins", {}),
                 "values": {
                     metric: {
                         clip: sum(run["scores"][test]["values"][metric][clip] for run in runs)

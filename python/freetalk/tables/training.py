@@ -11,13 +11,15 @@ from typing import Any
 
 import torch
 
+from freetalk._files import content_hash, write_json
+from freetalk.tables.scoring import encoder_folder
 from freetalk.tables.sets import Catalogue
 from freetalk.tables.views import ViewOptions
-from freetalk.train.checkpoint import write_json
 from freetalk.train.config import load_config
 from freetalk.train.engine import Engine
 from freetalk.train.loop import Trainer
 from freetalk.train.run import make_task
+from freetalk.train.task_options import AtsTaskOptions
 
 
 @dataclass(frozen=True)
@@ -41,10 +43,15 @@ class Training:
     epochs: int = 0
 
     def key(self, catalogue: Catalogue) -> str:
-        """Hash of the configuration, the data and the epochs."""
-        config = load_config(self.kind, self.config, list(self.overrides)).to_dict()
+        """Hash of the configuration, the data, the epochs and the speech encoder's weights."""
+        config = load_config(self.kind, self.config, list(self.overrides))
         data = catalogue.mixture(self.sets, self.view).fingerprint
-        content = json.dumps([self.kind, config, data, self.epochs], sort_keys=True)
+        task = config.task
+        encoder = ""
+        if isinstance(task, AtsTaskOptions):
+            encoder = content_hash(encoder_folder(task.speech_encoder))
+        described = [self.kind, config.to_dict(), data, self.epochs, encoder]
+        content = json.dumps(described, sort_keys=True)
         return hashlib.sha256(content.encode()).hexdigest()[:12]
 
 

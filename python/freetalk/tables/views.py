@@ -158,6 +158,8 @@ class DatasetView:
     def faces_of(self, split: str) -> list[tuple[MotionSequence, int, str]]:
         """(clip, identity, topology) that each clip of a split is scored on: the recorded face, or in turn."""
         people, meshings = self.identities(split), self.topologies(split)
+        if not people and any(s.topology is None for s in self.sequences(split)):
+            raise ValueError(f"{self.base.name} has no face in its split {split}")
         return [
             (s, s.identity, s.topology)
             if s.topology is not None
