@@ -24,19 +24,19 @@ if torch.__version__.split("+")[0] != _native.torch_version.split("+")[0]:
 __version__: str = _native.__version__
 
 if TYPE_CHECKING:
-    from freetalk import ats, diffusion, geometry, metrics, nn, speech, stm
+    from freetalk import ats, diffusion, geometry, mesh, metrics, nn, speech, stm
     from freetalk.animation import Animation
     from freetalk.audio import Audio, load_audio
-    from freetalk.geometry import Mesh, load_mesh
+    from freetalk.mesh import Mesh, load_mesh
     from freetalk.talker import Talker
 
 _LAZY = {
     "Animation": "animation",
     "Audio": "audio",
-    "Mesh": "geometry",
+    "Mesh": "mesh",
     "Talker": "talker",
     "load_audio": "audio",
-    "load_mesh": "geometry",
+    "load_mesh": "mesh",
 }
 _ROOMS = (
     "animation",
@@ -47,6 +47,7 @@ _ROOMS = (
     "diffusion",
     "evaluate",
     "geometry",
+    "mesh",
     "metrics",
     "nn",
     "speech",
@@ -67,6 +68,7 @@ __all__ = [
     "geometry",
     "load_audio",
     "load_mesh",
+    "mesh",
     "metrics",
     "nn",
     "speech",

@@ -12,7 +12,7 @@ import torch
 
 from freetalk import _native
 from freetalk.audio import Audio
-from freetalk.geometry import Mesh
+from freetalk.mesh import Mesh
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

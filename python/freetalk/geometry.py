@@ -1,4 +1,4 @@
-"""Meshes, surface operators and alignment: the geometry room as Python sees it."""
+"""Surface operators, eigenbases and alignment: the geometry room as Python sees it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from freetalk._arrays import as_array
 from freetalk._native import geometry as _native
 from freetalk._native.core import default_cache_dir
 from freetalk._progress import ShareProgress, progress_bar
@@ -21,8 +22,6 @@ AlignOptions = _native.AlignOptions
 Eigenbasis = _native.Eigenbasis
 EigenbasisOptions = _native.EigenbasisOptions
 FaceOperators = _native.FaceOperators
-Mesh = _native.Mesh
-MeshReport = _native.MeshReport
 OperatorOptions = _native.OperatorOptions
 Similarity = _native.Similarity
 SurfaceOperators = _native.SurfaceOperators
@@ -33,83 +32,30 @@ __all__ = [
     "Eigenbasis",
     "EigenbasisOptions",
     "FaceOperators",
-    "Mesh",
-    "MeshReport",
     "OperatorOptions",
     "Similarity",
     "SurfaceOperators",
     "align_to_template",
     "concatenate",
-    "connected_components",
     "cotan_laplacian",
     "default_cache_dir",
     "eigenbasis",
-    "face_areas",
-    "load_mesh",
     "lumped_mass",
-    "mesh_report",
     "point_cloud_laplacian",
     "robust_laplacian",
     "sample_template",
-    "save_mesh",
     "surface_operators",
     "unique_edges",
-    "vertex_normals",
 ]
 
 concatenate = _native.concatenate
 unique_edges = _native.unique_edges
 cotan_laplacian = _native.cotan_laplacian
-mesh_report = _native.mesh_report
-
-
-def _array(values: ArrayLike | torch.Tensor, dtype: type) -> NDArray:
-    if isinstance(values, torch.Tensor):
-        values = values.detach().cpu().numpy()
-    array = np.asarray(values)
-    if dtype is np.int32 and array.size > 0 and not np.issubdtype(array.dtype, np.integer):
-        raise ValueError(f"faces must be integers, found {array.dtype}")
-    return np.asarray(array, dtype=dtype)
-
-
-def load_mesh(path: str | os.PathLike[str]) -> Mesh:
-    """Reads an OBJ, PLY, OFF, STL, .gltf or .glb file.
-
-    No face is dropped; ``mesh_report`` tells what is odd about a mesh. Of glTF, the triangles of all
-    meshes its scene shows, moved by their nodes, at rest.
-
-    Args:
-        path: the file.
-
-    Returns:
-        The mesh with the file's vertices in the file's order, its polygons, texture coordinates and
-        a triangulation.
-
-    Raises:
-        RuntimeError: missing, empty, not a mesh, no faces, indices out of range or NaN vertices; one
-            sentence naming the file and what to do.
-    """
-    return _native.load_mesh(Path(path))
-
-
-def save_mesh(path: str | os.PathLike[str], mesh: Mesh) -> None:
-    """Writes an OBJ or PLY file (by extension) atomically, polygons and texture coordinates kept."""
-    _native.save_mesh(Path(path), mesh)
-
-
-def vertex_normals(vertices: ArrayLike | torch.Tensor, faces: ArrayLike | torch.Tensor) -> NDArray:
-    """(V, 3) unit vertex normals: the mean of the unit normals of the faces around."""
-    return _native.vertex_normals(_array(vertices, np.float64), _array(faces, np.int32))
-
-
-def face_areas(vertices: ArrayLike | torch.Tensor, faces: ArrayLike | torch.Tensor) -> NDArray:
-    """(F,) areas of triangles."""
-    return _native.face_areas(_array(vertices, np.float64), _array(faces, np.int32))
 
 
 def lumped_mass(vertices: ArrayLike | torch.Tensor, faces: ArrayLike | torch.Tensor) -> NDArray:
     """(V,) a third of the area of the faces around each vertex."""
-    return _native.lumped_mass(_array(vertices, np.float64), _array(faces, np.int32))
+    return _native.lumped_mass(as_array(vertices, np.float64), as_array(faces, np.int32))
 
 
 def robust_laplacian(
@@ -136,7 +82,7 @@ def robust_laplacian(
         ValueError: NaN, indices out of range, no faces, all edges of length zero.
     """
     return _native.robust_laplacian(
-        _array(vertices, np.float64), _array(faces, np.int32), mollify_factor=mollify_factor
+        as_array(vertices, np.float64), as_array(faces, np.int32), mollify_factor=mollify_factor
     )
 
 
@@ -165,16 +111,11 @@ def point_cloud_laplacian(
         ValueError: NaN, ``num_neighbors`` out of range.
     """
     return _native.point_cloud_laplacian(
-        _array(points, np.float64),
+        as_array(points, np.float64),
         mollify_factor=mollify_factor,
         num_neighbors=num_neighbors,
         published_fit=published_fit,
     )
-
-
-def connected_components(num_vertices: int, faces: ArrayLike | torch.Tensor) -> NDArray:
-    """(V,) component of each vertex; an unreferenced vertex is one of its own."""
-    return _native.connected_components(num_vertices, _array(faces, np.int32))
 
 
 def eigenbasis(
@@ -212,7 +153,7 @@ def eigenbasis(
     options = EigenbasisOptions(k=int(k), tolerance=float(tolerance), solver=solver)
     with progress_bar(progress, f"eigenbasis of {name}") as report:
         return _native.eigenbasis(
-            laplacian, _array(mass, np.float64), options=options, name=name, progress=report
+            laplacian, as_array(mass, np.float64), options=options, name=name, progress=report
         )
 
 
@@ -253,7 +194,7 @@ def surface_operators(
         RuntimeError: the eigensolver did not converge; names the mesh.
     """
     options = OperatorOptions(k_eig=int(k), laplacian=laplacian, regularization=regularization)
-    points, triangles = _array(vertices, np.float64), _array(faces, np.int32)
+    points, triangles = as_array(vertices, np.float64), as_array(faces, np.int32)
     with progress_bar(progress, f"operators of {name}") as report:
         if cache is False:
             return _native.surface_operators(
@@ -282,7 +223,7 @@ def sample_template(
         points (P, 3) and unit normals (P, 3), in the frame of ``vertices``.
     """
     return _native.sample_surface(
-        _array(vertices, np.float64), _array(faces, np.int32), num_points=num_points, seed=seed
+        as_array(vertices, np.float64), as_array(faces, np.int32), num_points=num_points, seed=seed
     )
 
 
@@ -314,9 +255,9 @@ def align_to_template(
         ValueError: an unknown unit or axis, a template of fewer than 100 points, no area.
     """
     return _native.align_to_template(
-        _array(vertices, np.float64),
-        _array(faces, np.int32),
-        template_points=_array(template_points, np.float64),
-        template_normals=_array(template_normals, np.float64),
+        as_array(vertices, np.float64),
+        as_array(faces, np.int32),
+        template_points=as_array(template_points, np.float64),
+        template_normals=as_array(template_normals, np.float64),
         options=AlignOptions(unit=unit, up=up, forward=forward),
     )

@@ -12,7 +12,8 @@ from freetalk._pretrained import PRETRAINED, installed
 from freetalk.animation import Animation
 from freetalk.ats import Emotion, emotion_text
 from freetalk.audio import Audio, load_audio
-from freetalk.geometry import Alignment, AlignOptions, Mesh, load_mesh
+from freetalk.geometry import Alignment, AlignOptions
+from freetalk.mesh import Mesh, load_mesh
 
 TalkerOptions = _native.talker.TalkerOptions
 Report = _native.talker.Report

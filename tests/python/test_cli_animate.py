@@ -25,7 +25,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ft.audio.save_wav(folder / "silence.wav", ft.Audio(np.zeros(8000, np.float32), 16000))
     vertices, faces = assets.mean_face("narrow")
     face = ft.Mesh(100 * vertices.astype(np.float64), faces.tolist(), name="face")
-    ft.geometry.save_mesh(folder / "face.obj", face)
+    ft.mesh.save_mesh(folder / "face.obj", face)
     (folder / "weights").mkdir()
     write_weights(folder / "weights")
     return folder

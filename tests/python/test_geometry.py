@@ -149,7 +149,7 @@ def test_mesh_round_trip(tmp_path: Path) -> None:
     mesh = ft.Mesh(vertices, [*faces.tolist(), [0, 1, 5, 4]], name="grid")
     assert mesh.faces.shape == (len(faces) + 2, 3)
     for name in ("a.obj", "a.ply"):
-        geometry.save_mesh(tmp_path / name, mesh)
+        ft.mesh.save_mesh(tmp_path / name, mesh)
         again = ft.load_mesh(str(tmp_path / name))
         assert np.array_equal(again.vertices, vertices)
         assert again.polygons == mesh.polygons

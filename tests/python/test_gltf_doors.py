@@ -8,7 +8,6 @@ import numpy as np
 import trimesh
 
 import freetalk as ft
-from freetalk import geometry
 
 
 def rotation(axis: list[float], angle: float) -> np.ndarray:
@@ -53,4 +52,4 @@ def test_an_animation_saved_as_glb_gives_its_mesh_back(tmp_path: Path) -> None:
     again = ft.load_mesh(tmp_path / "talk.glb")
     assert np.allclose(again.vertices, mesh.vertices, atol=1e-6)  # float32
     assert np.array_equal(again.faces, mesh.faces)
-    assert geometry.mesh_report(again).findings() == []
+    assert ft.mesh.mesh_report(again).findings() == []

@@ -272,10 +272,10 @@ def test_nasty_meshes_are_read_checked_and_animated(
 ) -> None:
     vertices, polygons, counted = CORPUS[name]
     file = tmp_path / "nasty.obj"
-    geometry.save_mesh(file, ft.Mesh(vertices, polygons, name=name))
+    ft.mesh.save_mesh(file, ft.Mesh(vertices, polygons, name=name))
     mesh = ft.load_mesh(file)
     assert np.array_equal(mesh.vertices, vertices)  # all of them, in their order
-    report = geometry.mesh_report(mesh)
+    report = ft.mesh.mesh_report(mesh)
     assert report.polygons == len(polygons)
     for defect in counted:
         assert getattr(report, defect) > 0, defect
@@ -307,13 +307,13 @@ def test_mesh_check_prints_what_it_finds(
 ) -> None:
     name = "_".join(defect.__name__ for defect in COMBINED[-1]) + "_18"
     file = tmp_path / "nasty.obj"
-    geometry.save_mesh(file, ft.Mesh(*CORPUS[name][:2]))
+    ft.mesh.save_mesh(file, ft.Mesh(*CORPUS[name][:2]))
     assert main(["mesh", "check", str(file)]) == 0
     printed = capsys.readouterr().out
     for finding in ("three or more faces", "without area", "in no face", "name a vertex twice"):
         assert finding in printed
     assert "open rims" in printed and "pose:" in printed
-    geometry.save_mesh(file, ft.Mesh(*CORPUS["one_place_6"][:2]))
+    ft.mesh.save_mesh(file, ft.Mesh(*CORPUS["one_place_6"][:2]))
     assert main(["mesh", "check", str(file)]) == 0
     assert "no surface to animate" in capsys.readouterr().out
 
@@ -380,5 +380,5 @@ def test_damaged_files_are_read_or_refused_by_name(tmp_path: Path) -> None:
                 refused += 1
             else:
                 assert np.isfinite(mesh.vertices).all()
-                assert geometry.mesh_report(mesh).triangles == len(mesh.faces)
+                assert ft.mesh.mesh_report(mesh).triangles == len(mesh.faces)
     assert refused > 50

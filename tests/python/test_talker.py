@@ -46,7 +46,7 @@ def write_weights(folder: Path) -> Path:
     stm.save_pretrained(folder / "stm")
     model = assets.load_face_model()
     vertices, faces = assets.mean_face("face")
-    normals = _native.geometry.vertex_normals(vertices.astype(np.float64), faces)
+    normals = _native.mesh.vertex_normals(vertices.astype(np.float64), faces)
     template = {
         "points": torch.from_numpy(vertices[::3].copy()),
         "normals": torch.from_numpy(normals[::3].astype(np.float32)),
@@ -127,7 +127,7 @@ def test_paths_and_progress(
     talker: freetalk.Talker, face: freetalk.Mesh, cache: str, tmp_path: Path
 ) -> None:
     from freetalk.audio import save_wav
-    from freetalk.geometry import save_mesh
+    from freetalk.mesh import save_mesh
 
     save_wav(tmp_path / "a.wav", freetalk.Audio(np.full(7680, 0.1, np.float32), 16000))
     save_mesh(tmp_path / "a.obj", face)

@@ -14,10 +14,10 @@ from freetalk.cli.weights import find_weights
 def check(arguments: argparse.Namespace) -> None:
     """Reports what a mesh file holds, what is wrong with it, its unit and pose."""
     file = check_readable(arguments.file, "a mesh (OBJ, PLY, OFF, STL or glTF)")
-    import freetalk.geometry
+    import freetalk.mesh
 
     mesh: Any = freetalk.load_mesh(file)
-    report: Any = freetalk.geometry.mesh_report(mesh)
+    report: Any = freetalk.mesh.mesh_report(mesh)
     print(f"{file}: {report.vertices} vertices, {report.triangles} triangles")
     if report.larger_polygons:
         print(f"  polygons: {report.polygons}, {report.larger_polygons} of more than 3 corners")

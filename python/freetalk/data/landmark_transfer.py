@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from freetalk import geometry
 from freetalk.data.dataset import NUM_LANDMARKS
+from freetalk.mesh import vertex_normals
 
 Points = npt.NDArray[np.float64]
 
@@ -110,7 +111,7 @@ def fit_face(vertices: npt.NDArray[Any], faces: npt.NDArray[Any], model: LinearF
     distance, kept = np.zeros(0), np.zeros(0, bool)
     for reach in np.geomspace(*_REACH_M, _ROUNDS):
         whole = rest + np.tensordot(coefficients, model.identity_basis, axes=1)
-        own = geometry.vertex_normals(whole, model.faces)[chosen] @ matrix.T
+        own = vertex_normals(whole, model.faces)[chosen] @ matrix.T
         points = whole[chosen] @ matrix.T + shift
         _, nearest = tree.query(points)
         offset = points - surface[nearest]
@@ -146,8 +147,8 @@ def propose_landmarks(
     points = np.asarray(vertices, dtype=np.float64)
     fit = fit_face(points, faces, model)
     wanted = fit.vertices[model.landmarks]
-    directions = geometry.vertex_normals(fit.vertices, model.faces)[model.landmarks]
-    own = geometry.vertex_normals(points, faces)
+    directions = vertex_normals(fit.vertices, model.faces)[model.landmarks]
+    own = vertex_normals(points, faces)
     on_surface = np.unique(faces)
     indices = np.zeros(NUM_LANDMARKS, dtype=np.int64)
     for number in range(NUM_LANDMARKS):

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from freetalk import geometry
 from freetalk.data.dataset import FloatArray
 from freetalk.data.errors import DatasetError, MissingFileError, MissingLandmarksError
 from freetalk.data.index_files import (
@@ -27,6 +26,7 @@ from freetalk.data.index_files import (
     read_landmarks,
     read_mask,
 )
+from freetalk.mesh import load_mesh
 
 #: Template by number of vertices and triangles.
 KNOWN_COUNTS: dict[tuple[int, int], str] = {
@@ -130,7 +130,7 @@ def read_mesh(path: Path) -> tuple[FloatArray, npt.NDArray[np.int64]]:
     if not path.is_file():
         raise MissingFileError(f"there is no mesh {path}")
     try:
-        mesh = geometry.load_mesh(path)
+        mesh = load_mesh(path)
     except RuntimeError as error:
         raise DatasetError(str(error)) from error
     vertices = np.asarray(mesh.vertices, dtype=np.float32)

@@ -1,0 +1,100 @@
+#include <pybind11/eigen.h>
+#include <pybind11/stl/filesystem.h>
+#include <torch/extension.h>
+
+#include "freetalk/core/error.h"
+#include "freetalk/mesh/components.h"
+#include "freetalk/mesh/mesh.h"
+#include "freetalk/mesh/normals.h"
+#include "freetalk/mesh/report.h"
+
+namespace {
+
+namespace py = pybind11;
+namespace mesh = freetalk::mesh;
+using NoGil = py::call_guard<py::gil_scoped_release>;
+
+void bind_mesh_class(py::module_& m) {
+  py::class_<mesh::Mesh>(m, "Mesh", "A polygon mesh as its file has it, plus its triangles.")
+      .def(py::init(&mesh::make_mesh), py::arg("vertices"), py::arg("polygons"), py::kw_only(),
+           py::arg("texcoords") = Eigen::MatrixXd(0, 2),
+           py::arg("polygon_texcoords") = std::vector<std::vector<int>>(), py::arg("name") = "mesh",
+           NoGil())
+      .def_property(
+          "vertices",
+          [](const mesh::Mesh& mesh) -> const Eigen::MatrixXd& { return mesh.vertices; },
+          [](mesh::Mesh& mesh, const Eigen::MatrixXd& vertices) {
+            FREETALK_CHECK(vertices.rows() == mesh.vertices.rows() && vertices.cols() == 3,
+                           "vertices of ", mesh.name, " must keep their shape (",
+                           mesh.vertices.rows(), ", 3), found (", vertices.rows(), ", ",
+                           vertices.cols(), ")");
+            mesh.vertices = vertices;
+          },
+          "(V, 3) float64, the file's unit.")
+      .def_readonly("faces", &mesh::Mesh::faces, "(F, 3) int32 triangles.")
+      .def_readonly("polygons", &mesh::Mesh::polygons,
+                    "Vertex indices of each polygon as in the file; empty if all are triangles.")
+      .def_readonly("texcoords", &mesh::Mesh::texcoords, "(Vt, 2) float64; (0, 2) without.")
+      .def_readonly("polygon_texcoords", &mesh::Mesh::polygon_texcoords,
+                    "Rows of texcoords of each polygon's corners.")
+      .def_readonly("face_polygon", &mesh::Mesh::face_polygon,
+                    "(F,) the polygon each triangle was cut from.")
+      .def_readwrite("name", &mesh::Mesh::name, "The file's name, for messages.")
+      .def("__repr__", [](const mesh::Mesh& mesh) {
+        return "Mesh(name='" + mesh.name + "', vertices=" + std::to_string(mesh.num_vertices()) +
+               ", polygons=" + std::to_string(mesh.num_polygons()) +
+               ", triangles=" + std::to_string(mesh.num_faces()) + ")";
+      });
+  m.def("load_mesh", &mesh::load_mesh, py::arg("path"), NoGil(),
+        "Reads an OBJ, PLY, OFF, STL or glTF file.");
+  m.def("save_mesh", &mesh::save_mesh, py::arg("path"), py::arg("mesh"), NoGil(),
+        "Writes an OBJ or PLY file atomically.");
+}
+
+void bind_mesh_report(py::module_& m) {
+  using mesh::MeshReport;
+  py::class_<MeshReport>(m, "MeshReport", "What a mesh is like, defect by defect.")
+      .def_readonly("vertices", &MeshReport::vertices)
+      .def_readonly("polygons", &MeshReport::polygons)
+      .def_readonly("triangles", &MeshReport::triangles, "After polygons are cut.")
+      .def_readonly("larger_polygons", &MeshReport::larger_polygons, "Of more than three corners.")
+      .def_readonly("lines_and_points", &MeshReport::lines_and_points, "Not kept: no faces.")
+      .def_readonly("parts", &MeshReport::parts, "Connected by common vertices.")
+      .def_readonly("edges", &MeshReport::edges)
+      .def_readonly("boundary_edges", &MeshReport::boundary_edges, "Of one polygon.")
+      .def_readonly("boundaries", &MeshReport::boundaries, "Rims of boundary edges.")
+      .def_readonly("nonmanifold_edges", &MeshReport::nonmanifold_edges, "Of three or more.")
+      .def_readonly("nonmanifold_vertices", &MeshReport::nonmanifold_vertices,
+                    "Where surfaces touch in a point only.")
+      .def_readonly("inconsistent_edges", &MeshReport::inconsistent_edges,
+                    "Whose two polygons turn opposite ways.")
+      .def_readonly("unreferenced_vertices", &MeshReport::unreferenced_vertices, "In no face.")
+      .def_readonly("coincident_vertices", &MeshReport::coincident_vertices,
+                    "At the place of an earlier vertex.")
+      .def_readonly("repeated_corner_polygons", &MeshReport::repeated_corner_polygons,
+                    "That name a vertex twice.")
+      .def_readonly("zero_area_triangles", &MeshReport::zero_area_triangles)
+      .def_readonly("duplicate_polygons", &MeshReport::duplicate_polygons,
+                    "With the vertices of an earlier one.")
+      .def_readonly("extent", &MeshReport::extent, "(3,) of the referenced vertices, file's unit.")
+      .def("findings", &MeshReport::findings, "One line a finding, worst first.");
+  m.def("mesh_report", &mesh::mesh_report, py::arg("mesh"), NoGil(),
+        "What a mesh is like, defect by defect.");
+}
+
+void bind_surface(py::module_& m) {
+  m.def("vertex_normals", &mesh::vertex_normals, py::arg("vertices"), py::arg("faces"), NoGil(),
+        "(V, 3) unit vertex normals.");
+  m.def("face_areas", &mesh::face_areas, py::arg("vertices"), py::arg("faces"), NoGil(),
+        "(F,) areas.");
+  m.def("connected_components", &mesh::connected_components, py::arg("num_vertices"),
+        py::arg("faces"), NoGil(), "(V,) component of each vertex.");
+}
+
+}  // namespace
+
+void bind_mesh(py::module_& m) {
+  bind_mesh_class(m);
+  bind_mesh_report(m);
+  bind_surface(m);
+}

@@ -1,0 +1,72 @@
+"""Mesh files, what a mesh is like, and normals: the mesh room as Python sees it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from freetalk._arrays import as_array
+from freetalk._native import mesh as _native
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+Mesh = _native.Mesh
+MeshReport = _native.MeshReport
+
+__all__ = [
+    "Mesh",
+    "MeshReport",
+    "connected_components",
+    "face_areas",
+    "load_mesh",
+    "mesh_report",
+    "save_mesh",
+    "vertex_normals",
+]
+
+mesh_report = _native.mesh_report
+
+
+def load_mesh(path: str | os.PathLike[str]) -> Mesh:
+    """Reads an OBJ, PLY, OFF, STL, .gltf or .glb file.
+
+    No face is dropped; ``mesh_report`` tells what is odd about a mesh. Of glTF, the triangles of all
+    meshes its scene shows, moved by their nodes, at rest.
+
+    Args:
+        path: the file.
+
+    Returns:
+        The mesh with the file's vertices in the file's order, its polygons, texture coordinates and
+        a triangulation.
+
+    Raises:
+        RuntimeError: missing, empty, not a mesh, no faces, indices out of range or NaN vertices; one
+            sentence naming the file and what to do.
+    """
+    return _native.load_mesh(Path(path))
+
+
+def save_mesh(path: str | os.PathLike[str], mesh: Mesh) -> None:
+    """Writes an OBJ or PLY file (by extension) atomically, polygons and texture coordinates kept."""
+    _native.save_mesh(Path(path), mesh)
+
+
+def vertex_normals(vertices: ArrayLike | torch.Tensor, faces: ArrayLike | torch.Tensor) -> NDArray:
+    """(V, 3) unit vertex normals: the mean of the unit normals of the faces around."""
+    return _native.vertex_normals(as_array(vertices, np.float64), as_array(faces, np.int32))
+
+
+def face_areas(vertices: ArrayLike | torch.Tensor, faces: ArrayLike | torch.Tensor) -> NDArray:
+    """(F,) areas of triangles."""
+    return _native.face_areas(as_array(vertices, np.float64), as_array(faces, np.int32))
+
+
+def connected_components(num_vertices: int, faces: ArrayLike | torch.Tensor) -> NDArray:
+    """(V,) component of each vertex; an unreferenced vertex is one of its own."""
+    return _native.connected_components(num_vertices, as_array(faces, np.int32))
