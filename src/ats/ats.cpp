@@ -4,7 +4,7 @@
 
 #include "freetalk/core/error.h"
 #include "freetalk/nn/embedding.h"
-#include "freetalk/nn/local_start.h"
+#include "nn/local_start.h"
 
 namespace freetalk::ats {
 

@@ -39,8 +39,8 @@ freetalk_add_room(geometry USES core kernels mesh PRIVATE_LIBS Spectra::Spectra 
 freetalk_add_room(nn USES core kernels mesh geometry)
 freetalk_add_room(speech USES audio nn kernels core PRIVATE_LIBS nlohmann_json::nlohmann_json)
 freetalk_add_room(diffusion USES core)
-freetalk_add_room(ats USES speech diffusion nn kernels core PRIVATE_LIBS nlohmann_json::nlohmann_json)
-freetalk_add_room(stm USES nn kernels geometry core PRIVATE_LIBS nlohmann_json::nlohmann_json)
+freetalk_add_room(ats USES speech diffusion nn core PRIVATE_LIBS nlohmann_json::nlohmann_json)
+freetalk_add_room(stm USES nn geometry core PRIVATE_LIBS nlohmann_json::nlohmann_json)
 freetalk_add_room(metrics USES core)
 freetalk_add_room(animation USES audio mesh geometry core PRIVATE_LIBS nlohmann_json::nlohmann_json)
 freetalk_add_room(talker USES animation stm ats speech diffusion nn geometry mesh audio core

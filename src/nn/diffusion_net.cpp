@@ -3,10 +3,10 @@
 #include <torch/torch.h>
 
 #include "freetalk/core/error.h"
-#include "freetalk/nn/implicit_diffusion.h"
+#include "nn/implicit_diffusion.h"
 #include "freetalk/nn/poisson.h"
 #include "freetalk/nn/sparse.h"
-#include "freetalk/nn/surface_means.h"
+#include "nn/surface_means.h"
 
 namespace freetalk::nn {
 namespace {

@@ -1,4 +1,4 @@
-#include "freetalk/nn/implicit_diffusion.h"
+#include "nn/implicit_diffusion.h"
 
 #include <torch/custom_class.h>
 #include <torch/torch.h>

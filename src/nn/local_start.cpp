@@ -1,4 +1,4 @@
-#include "freetalk/nn/local_start.h"
+#include "nn/local_start.h"
 
 #include <ATen/ATen.h>
 #include <torch/utils.h>

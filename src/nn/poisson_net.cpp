@@ -4,7 +4,7 @@
 
 #include "freetalk/core/error.h"
 #include "freetalk/nn/poisson.h"
-#include "freetalk/nn/surface_means.h"
+#include "nn/surface_means.h"
 
 namespace freetalk::nn {
 namespace {

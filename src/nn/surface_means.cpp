@@ -1,4 +1,4 @@
-#include "freetalk/nn/surface_means.h"
+#include "nn/surface_means.h"
 
 #include <torch/torch.h>
 

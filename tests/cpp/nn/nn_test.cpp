@@ -7,7 +7,7 @@
 #include "freetalk/nn/diffusion_net.h"
 #include "freetalk/nn/embedding.h"
 #include "freetalk/nn/landmark_graph.h"
-#include "freetalk/nn/local_start.h"
+#include "nn/local_start.h"
 #include "freetalk/nn/sparse.h"
 #include "freetalk/nn/transformer.h"
 
