@@ -82,7 +82,7 @@ void bind_mesh_report(py::module_& m) {
         "What a mesh is like, defect by defect.");
 }
 
-void bind_surface(py::module_& m) {
+void bind_normals(py::module_& m) {
   m.def("vertex_normals", &mesh::vertex_normals, py::arg("vertices"), py::arg("faces"), NoGil(),
         "(V, 3) unit vertex normals.");
   m.def("face_areas", &mesh::face_areas, py::arg("vertices"), py::arg("faces"), NoGil(),
@@ -96,5 +96,5 @@ void bind_surface(py::module_& m) {
 void bind_mesh(py::module_& m) {
   bind_mesh_class(m);
   bind_mesh_report(m);
-  bind_surface(m);
+  bind_normals(m);
 }

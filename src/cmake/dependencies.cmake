@@ -1,15 +1,5 @@
-# Third-party libraries, shared by the build and by the installed package (freetalkConfig.cmake).
-find_package(Threads REQUIRED)
+# Third-party libraries of the build. The installed package looks for those of link_libraries.cmake alone.
 find_package(Eigen3 3.4 REQUIRED NO_MODULE)
 find_package(nlohmann_json 3 REQUIRED)
 find_package(Spectra REQUIRED)
-find_package(PkgConfig REQUIRED)
-pkg_check_modules(sndfile REQUIRED IMPORTED_TARGET sndfile)
-pkg_check_modules(samplerate REQUIRED IMPORTED_TARGET samplerate)
-find_path(OPENMESH_INCLUDE_DIR OpenMesh/Core/IO/MeshIO.hh REQUIRED)
-find_library(OPENMESH_CORE_LIBRARY OpenMeshCore REQUIRED)
-if(NOT TARGET freetalk::openmesh)
-  add_library(freetalk::openmesh INTERFACE IMPORTED)
-  target_include_directories(freetalk::openmesh SYSTEM INTERFACE "${OPENMESH_INCLUDE_DIR}")
-  target_link_libraries(freetalk::openmesh INTERFACE "${OPENMESH_CORE_LIBRARY}")
-endif()
+include(link_libraries)

@@ -1,16 +1,19 @@
 # cmake --install: headers, one exported target a room (freetalk::<room>), the shipped weights, and what
-# find_package(freetalk) needs to find torch and the other libraries just as this build did.
+# find_package(freetalk) needs to find torch and the other libraries just as this build did. Of header-only
+# libraries a consumer needs Eigen alone, which the headers show.
 include(CMakePackageConfigHelpers)
 include(freetalk_torch_version)
 
 set(FREETALK_CMAKE_DIR "${CMAKE_INSTALL_LIBDIR}/cmake/freetalk")
 set(FREETALK_PRETRAINED_DIR "${CMAKE_INSTALL_DATADIR}/freetalk/pretrained")
+set(FREETALK_SHARED ${BUILD_SHARED_LIBS})
 set(FREETALK_BUILD_TORCH_DIR "${FREETALK_TORCH_DIR}")
 freetalk_torch_version("${FREETALK_TORCH_DIR}" FREETALK_BUILD_TORCH_VERSION)
 
 list(TRANSFORM FREETALK_ROOMS PREPEND freetalk_ OUTPUT_VARIABLE room_targets)
 install(TARGETS ${room_targets} EXPORT freetalkTargets
-        ARCHIVE DESTINATION "${CMAKE_INSTALL_LIBDIR}" COMPONENT development)
+        ARCHIVE DESTINATION "${CMAKE_INSTALL_LIBDIR}" COMPONENT development
+        LIBRARY DESTINATION "${CMAKE_INSTALL_LIBDIR}" COMPONENT development)
 install(EXPORT freetalkTargets NAMESPACE freetalk:: DESTINATION "${FREETALK_CMAKE_DIR}"
         COMPONENT development)
 install(DIRECTORY include/freetalk DESTINATION "${CMAKE_INSTALL_INCLUDEDIR}" COMPONENT development
@@ -29,7 +32,7 @@ write_basic_package_version_file("${CMAKE_CURRENT_BINARY_DIR}/freetalkConfigVers
 install(FILES "${CMAKE_CURRENT_BINARY_DIR}/freetalkConfig.cmake"
               "${CMAKE_CURRENT_BINARY_DIR}/freetalkConfigVersion.cmake"
               src/cmake/freetalk_torch.cmake src/cmake/freetalk_torch_version.cmake
-              src/cmake/dependencies.cmake
+              src/cmake/link_libraries.cmake
         DESTINATION "${FREETALK_CMAKE_DIR}" COMPONENT development)
 
 # The wheel: configurations go beside the modules, where `freetalk train --config NAME` finds them.

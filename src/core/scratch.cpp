@@ -12,13 +12,13 @@
 namespace freetalk::core {
 namespace {
 
-struct Mapping {
+struct ScratchMapping {
   void* data;
   size_t bytes;
 };
 
 void unmap(void* context) {
-  auto* mapping = static_cast<Mapping*>(context);
+  auto* mapping = static_cast<ScratchMapping*>(context);
   ::munmap(mapping->data, mapping->bytes);
   delete mapping;
 }
@@ -48,7 +48,7 @@ at::Tensor scratch_tensor(at::IntArrayRef sizes, int64_t threshold_bytes) {
   void* data = ::mmap(nullptr, size, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
   ::close(file);
   if (data == MAP_FAILED) return at::empty(sizes, at::kFloat);
-  c10::DataPtr pointer(data, new Mapping{data, size}, &unmap, at::kCPU);
+  c10::DataPtr pointer(data, new ScratchMapping{data, size}, &unmap, at::kCPU);
   const c10::Storage storage(c10::Storage::use_byte_size_t(), size, std::move(pointer));
   return at::empty({0}, at::kFloat).set_(storage, 0, sizes);
 }

@@ -132,15 +132,15 @@ void add_starts(const Eigen::Matrix3Xd& mesh, const Eigen::Matrix3Xd& target,
   }
 }
 
-struct Candidate {
+struct PoseCandidate {
   Similarity pose;
   double prior = 0.0;  // the scale expected; 0 for none
   double score = 0.0;
 };
 
-void keep_best(std::vector<Candidate>& candidates, size_t count) {
+void keep_best(std::vector<PoseCandidate>& candidates, size_t count) {
   std::sort(candidates.begin(), candidates.end(),
-            [](const Candidate& a, const Candidate& b) { return a.score < b.score; });
+            [](const PoseCandidate& a, const PoseCandidate& b) { return a.score < b.score; });
   if (candidates.size() > count) candidates.resize(count);
 }
 
@@ -170,10 +170,10 @@ struct Search {
   double target_spacing;
   const AlignOptions& options;
 
-  Candidate run(bool arbitrary) const {
+  PoseCandidate run(bool arbitrary) const {
     const Box box = robust_box(coarse.points());
     const double extent = (box.high - box.low).maxCoeff();
-    std::vector<Candidate> candidates;
+    std::vector<PoseCandidate> candidates;
     for (const Eigen::Matrix3d& rotation : orientations(options)) {
       for (const auto& [scale, prior] : start_scales(options.unit, extent, arbitrary)) {
         std::vector<Similarity> starts;
@@ -201,17 +201,17 @@ struct Search {
     return {mesh, target, target_spacing, prior};
   }
 
-  void rescore(std::vector<Candidate>& candidates, const mesh::KdTree& mesh, double reach_m,
+  void rescore(std::vector<PoseCandidate>& candidates, const mesh::KdTree& mesh, double reach_m,
                int num_target, int num_source) const {
-    for (Candidate& c : candidates) {
+    for (PoseCandidate& c : candidates) {
       c.score = fit_score(problem(mesh, c.prior), c.pose, reach_m, num_target, num_source);
     }
   }
 
   /// Refines all, scores them at `reach_m` and keeps the best `count`.
-  void stage(std::vector<Candidate>& candidates, const mesh::KdTree& mesh,
+  void stage(std::vector<PoseCandidate>& candidates, const mesh::KdTree& mesh,
              const IcpSettings& settings, double reach_m, size_t count) const {
-    for (Candidate& c : candidates) c.pose = refine(problem(mesh, c.prior), c.pose, settings);
+    for (PoseCandidate& c : candidates) c.pose = refine(problem(mesh, c.prior), c.pose, settings);
     rescore(candidates, mesh, reach_m, 2 * settings.num_target, settings.num_source);
     keep_best(candidates, count);
   }

@@ -154,21 +154,21 @@ std::vector<int64_t> first_counts(const std::vector<Part>& parts, double area, i
 }
 
 /// A pair of one part.
-struct Candidate {
+struct PairOfPart {
   double eval;
   size_t part;
   int64_t index;
 };
 
-std::vector<Candidate> smallest(const std::vector<Eigenbasis>& bases, int64_t k) {
-  std::vector<Candidate> all;
+std::vector<PairOfPart> smallest(const std::vector<Eigenbasis>& bases, int64_t k) {
+  std::vector<PairOfPart> all;
   for (size_t p = 0; p < bases.size(); ++p) {
     for (Eigen::Index i = 0; i < bases[p].evals.size(); ++i) {
       all.push_back({bases[p].evals[i], p, i});
     }
   }
   std::stable_sort(all.begin(), all.end(),
-                   [](const Candidate& a, const Candidate& b) { return a.eval < b.eval; });
+                   [](const PairOfPart& a, const PairOfPart& b) { return a.eval < b.eval; });
   all.resize(std::min(all.size(), static_cast<size_t>(k)));
   return all;
 }
@@ -227,7 +227,7 @@ Eigenbasis eigenbasis(const SparseMatrix& laplacian, const Eigen::VectorXd& mass
   std::vector<Eigenbasis> bases(parts.size());
   std::vector<int64_t> counts = first_counts(parts, area, k);
   PartProgress part_progress(progress, static_cast<double>(size));
-  std::vector<Candidate> chosen;
+  std::vector<PairOfPart> chosen;
   for (bool complete = false; !complete;) {
     for (size_t p = 0; p < parts.size(); ++p) {
       if (bases[p].evals.size() == counts[p]) continue;
@@ -255,7 +255,7 @@ Eigenbasis eigenbasis(const SparseMatrix& laplacian, const Eigen::VectorXd& mass
   }
   Eigenbasis basis{Eigen::VectorXd(k), Eigen::MatrixXd::Zero(size, k), {}};
   for (int64_t i = 0; i < k; ++i) {
-    const Candidate& from = chosen[static_cast<size_t>(i)];
+    const PairOfPart& from = chosen[static_cast<size_t>(i)];
     basis.evals[i] = from.eval;
     basis.evecs.col(i)(parts[from.part].vertices) = bases[from.part].evecs.col(from.index);
   }

@@ -108,10 +108,6 @@ SurfaceOperators expanded(const mesh::WeldedSurface& surface, const Eigen::Vecto
   return operators;
 }
 
-at::Tensor with_values(const at::Tensor& csr, const at::Tensor& values) {
-  return make_csr_tensor(csr.crow_indices(), csr.col_indices(), values, csr.sizes());
-}
-
 }  // namespace
 
 void OperatorOptions::check() const {
@@ -132,9 +128,9 @@ SurfaceOperators SurfaceOperators::scaled(double factor) const {
   result.mass = mass * (factor * factor);
   result.evals = evals / (factor * factor);
   result.evecs = evecs / factor;
-  result.gradients = with_values(gradients, gradients.values() / factor);
+  result.gradients = csr_with_values(gradients, gradients.values() / factor);
   result.gradients_transposed =
-      with_values(gradients_transposed, gradients_transposed.values() / factor);
+      csr_with_values(gradients_transposed, gradients_transposed.values() / factor);
   if (on_faces) {
     result.on_faces =
         core::defer([faces = on_faces, factor] { return faces->get().scaled(factor); });

@@ -54,10 +54,6 @@ SparseMatrix mean_of_welded(const Eigen::VectorXi& vertex_of) {
   return belongs.transpose() * counts.cwiseInverse().asDiagonal() * belongs;
 }
 
-at::Tensor with_values(const at::Tensor& csr, const at::Tensor& values) {
-  return make_csr_tensor(csr.crow_indices(), csr.col_indices(), values, csr.sizes());
-}
-
 }  // namespace
 
 at::Tensor transposed_like(const at::Tensor& csr) {
@@ -95,9 +91,9 @@ at::Tensor PoissonSolver::solve(const at::Tensor& rhs, double regularization) co
 FaceOperators FaceOperators::scaled(double factor) const {
   FaceOperators result = *this;  // the Laplacian does not depend on the scale
   result.areas = areas * (factor * factor);
-  result.gradients = with_values(gradients, gradients.values() / factor);
+  result.gradients = csr_with_values(gradients, gradients.values() / factor);
   result.gradients_transposed =
-      with_values(gradients_transposed, gradients_transposed.values() / factor);
+      csr_with_values(gradients_transposed, gradients_transposed.values() / factor);
   return result;
 }
 

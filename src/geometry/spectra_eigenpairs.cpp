@@ -46,7 +46,7 @@ class ShiftInvertOperator {
   const Eigen::MatrixXd& known_;
 };
 
-SparseMatrix shifted(const EigenProblem& problem, double amount) {
+SparseMatrix with_shift(const EigenProblem& problem, double amount) {
   SparseMatrix matrix = problem.laplacian;
   matrix.diagonal() += amount * problem.mass;
   return matrix;
@@ -68,7 +68,7 @@ std::optional<EigenPairs> lanczos(const Factor& factor, const Eigen::VectorXd& r
 
 /// Number of eigenvalues below `bound`, from the signs of a factorisation; -1 if it breaks down.
 Eigen::Index count_below(const EigenProblem& problem, double bound) {
-  const Factor factor(shifted(problem, -bound));
+  const Factor factor(with_shift(problem, -bound));
   if (factor.info() != Eigen::Success) return -1;
   const Eigen::VectorXd pivots = factor.vectorD();
   if (!pivots.allFinite()) return -1;
@@ -110,7 +110,7 @@ std::optional<EigenPairs> spectra_eigenpairs(const EigenProblem& problem,
                                              const EigenRequest& request) {
   const Eigen::Index size = problem.mass.size();
   const Eigen::VectorXd root_mass = problem.mass.cwiseSqrt();
-  const Factor factor(shifted(problem, request.shift));
+  const Factor factor(with_shift(problem, request.shift));
   FREETALK_RUNTIME_CHECK(factor.info() == Eigen::Success, "the Laplacian of ", request.name,
                          " cannot be factored; repair the mesh (NaN, huge or tiny coordinates)");
   const Eigen::Index subspace = std::min<Eigen::Index>(

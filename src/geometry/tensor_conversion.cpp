@@ -26,6 +26,10 @@ at::Tensor make_csr_tensor(const at::Tensor& crow_indices, const at::Tensor& col
                                values.options().layout(at::kSparseCsr));
 }
 
+at::Tensor csr_with_values(const at::Tensor& csr, const at::Tensor& values) {
+  return make_csr_tensor(csr.crow_indices(), csr.col_indices(), values, csr.sizes());
+}
+
 at::Tensor to_tensor(const Eigen::MatrixXd& matrix) {
   at::Tensor tensor = at::empty({matrix.rows(), matrix.cols()}, at::kDouble);
   Eigen::Map<RowMatrix>(tensor.data_ptr<double>(), matrix.rows(), matrix.cols()) = matrix;

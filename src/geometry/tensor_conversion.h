@@ -15,6 +15,8 @@ at::Tensor to_csr_tensor(const RowSparseMatrix& matrix);
 /// A sparse CSR tensor of its parts (indices int64).
 at::Tensor make_csr_tensor(const at::Tensor& crow_indices, const at::Tensor& col_indices,
                            const at::Tensor& values, at::IntArrayRef sizes);
+/// A sparse CSR tensor with the pattern of another.
+at::Tensor csr_with_values(const at::Tensor& csr, const at::Tensor& values);
 /// The transpose of a sparse CSR tensor, in CSR.
 at::Tensor transpose_csr(const at::Tensor& csr);
 

@@ -13,7 +13,7 @@ namespace freetalk::speech {
 namespace {
 
 /// Values of the first convolution worked on at once: a share of the last level cache.
-constexpr int64_t kBlockValues = 1 << 21;
+constexpr int64_t kScratchValues = 1 << 21;
 
 /// One head of attention over one clip: softmax(q kᵀ) v, q scaled already; (T, C / heads) each.
 at::Tensor attend_head(const at::Tensor& q, const at::Tensor& k, const at::Tensor& v) {
@@ -114,7 +114,7 @@ at::Tensor InferenceEncoder::extract(const at::Tensor& wave,
   }
   const int64_t count = (wave.size(0) - receptive_field_) / stride_ + 1;
   const int64_t values_per_frame = stride_ / options_.conv_stride[0] * options_.conv_dim[0];
-  const int64_t block = std::clamp<int64_t>(kBlockValues / values_per_frame, 16, 4096);
+  const int64_t block = std::clamp<int64_t>(kScratchValues / values_per_frame, 16, 4096);
   const auto result = at::empty({count, options_.conv_dim.back()}, wave.options().dtype(dtype_));
   for (int64_t first = 0; first < count; first += block) {
     const int64_t frames = std::min(block, count - first);

@@ -51,18 +51,26 @@ def prefix(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def consumer(prefix: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """tests/consumer, copied out of the tree and built against the install tree."""
-    folder = tmp_path_factory.mktemp("consumer")
+def build_consumer(prefix: Path, folder: Path, without_link_libraries: bool = False) -> Path:
+    """tests/consumer, copied out of the tree and built against the install tree.
+
+    No header-only library is found but Eigen; with `without_link_libraries` nor is what freetalk links.
+    """
+    hidden = ["nlohmann_json", "Spectra"] + ["PkgConfig"] * without_link_libraries
     shutil.copytree(ROOT / "tests" / "consumer", folder / "source")
     # fmt: off
     call(BIN / "cmake", "-S", folder / "source", "-B", folder / "build", "-G", "Ninja",
          f"-DCMAKE_PREFIX_PATH={prefix}", "-DCMAKE_BUILD_TYPE=Debug",
-         f"-DCMAKE_MAKE_PROGRAM={BIN / 'ninja'}")
+         f"-DCMAKE_MAKE_PROGRAM={BIN / 'ninja'}",
+         *(f"-DCMAKE_DISABLE_FIND_PACKAGE_{name}=ON" for name in hidden))
     # fmt: on
     call(BIN / "cmake", "--build", folder / "build")
     return folder / "build" / "consumer"
+
+
+@pytest.fixture(scope="module")
+def consumer(prefix: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_consumer(prefix, tmp_path_factory.mktemp("consumer"))
 
 
 @pytest.fixture
@@ -126,6 +134,35 @@ def test_consumer_says_what_is_wrong_in_one_sentence(consumer: Path, tmp_path: P
     assert result.returncode == 1
     assert "missing.obj" in result.stderr
     assert not (tmp_path / "out.npz").exists()
+
+
+@pytest.fixture(scope="module")
+def shared_prefix(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An install tree of shared libraries; the compiler's cache has their units from the static ones."""
+    if shutil.which("ccache") is None:
+        pytest.skip("without ccache every unit is compiled again")
+    build = ROOT / "build-shared"
+    unity = re.search(r"^FREETALK_UNITY:BOOL=(\w+)$", (BUILD / "CMakeCache.txt").read_text(), re.M)
+    # fmt: off
+    call(BIN / "cmake", "-S", ROOT, "-B", build, "-G", "Ninja", f"-DCMAKE_MAKE_PROGRAM={BIN / 'ninja'}",
+         "-DBUILD_SHARED_LIBS=ON", f"-DFREETALK_UNITY={unity[1] if unity else 'OFF'}",
+         "-DFREETALK_BUILD_PYTHON=OFF", "-DFREETALK_BUILD_TESTS=OFF", f"-DPython_EXECUTABLE={sys.executable}")
+    # fmt: on
+    call(BIN / "cmake", "--build", build)
+    folder = tmp_path_factory.mktemp("install") / "shared"
+    call(BIN / "cmake", "--install", build, "--prefix", folder, "--component", "development")
+    return folder
+
+
+@pytest.mark.slow
+def test_consumer_of_shared_libraries_needs_no_library_of_ours(
+    shared_prefix: Path, sheet_and_tone: tuple[Path, Path], tmp_path: Path
+) -> None:
+    mesh, tone = sheet_and_tone
+    moved = shared_prefix.rename(shared_prefix.with_name("moved"))
+    consumer = build_consumer(moved, tmp_path / "consumer", without_link_libraries=True)
+    output = call(consumer, mesh, tone, tmp_path / "out.npz", cwd=tmp_path)
+    assert re.search(r"^frames 15$", output, re.MULTILINE)
 
 
 def test_another_torch_is_refused_by_find_package(prefix: Path, tmp_path: Path) -> None:

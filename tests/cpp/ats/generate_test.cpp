@@ -11,7 +11,7 @@
 namespace freetalk::ats {
 namespace {
 
-AtsOptions small_options() {
+AtsOptions sampling_options() {
   AtsOptions options;
   options.d_model = 16;
   options.num_layers = 2;
@@ -54,7 +54,7 @@ TEST(AtsInference, EqualsForward) {
   for (const bool norm_first : {false, true}) {
     for (const auto& [radius, frames] : std::vector<std::pair<int64_t, int64_t>>{
              {3, 16}, {3, 37}, {0, 17}, {2, 1}, {9, 5}, {-1, 20}}) {
-      AtsOptions options = small_options();
+      AtsOptions options = sampling_options();
       options.max_frames = 40;
       options.norm_first = norm_first;
       options.activation = norm_first ? "relu" : "gelu";
@@ -97,7 +97,7 @@ TEST(WindowStarts, CoverAndOverlap) {
 }
 
 TEST(Generate, SameSeedSameMotionAnyLength) {
-  Ats model = make_model(small_options());
+  Ats model = make_model(sampling_options());
   GenerateOptions options;
   options.num_steps = 4;
   options.window_overlap = 6;
@@ -116,7 +116,7 @@ TEST(Generate, SameSeedSameMotionAnyLength) {
 
 // The whole of it, written out over the layers that training uses.
 TEST(Generate, IsGuidedDiffusionOverTheModel) {
-  Ats model = make_model(small_options());
+  Ats model = make_model(sampling_options());
   const torch::NoGradGuard no_grad;
   GenerateOptions options;
   options.num_steps = 10;
@@ -154,7 +154,7 @@ TEST(Generate, IsGuidedDiffusionOverTheModel) {
 }
 
 TEST(Generate, SamplesTogetherEqualSamplesAlone) {
-  Ats model = make_model(small_options());
+  Ats model = make_model(sampling_options());
   const at::Tensor features = features_of(75);
   const Affect felt = changing_affect(75);
   for (const char* sampler : {"ddim", "ddpm", "dpmpp"}) {
@@ -176,7 +176,7 @@ TEST(Generate, SamplesTogetherEqualSamplesAlone) {
 
 // What a group has finished does not depend on what follows, so motion can be made piece by piece.
 TEST(Generate, AFinishedGroupIgnoresWhatFollows) {
-  Ats model = make_model(small_options());
+  Ats model = make_model(sampling_options());
   GenerateOptions options;
   options.num_steps = 4;
   options.eta = 1.0;
@@ -193,7 +193,7 @@ TEST(Generate, AFinishedGroupIgnoresWhatFollows) {
 }
 
 TEST(Generate, BFloat16IsClose) {
-  Ats model = make_model(small_options());
+  Ats model = make_model(sampling_options());
   GenerateOptions options;
   options.num_steps = 10;
   const Affect felt = constant_affect(parse_emotion("happy", model->options().emotions), 2.0);
@@ -208,7 +208,7 @@ TEST(Generate, BFloat16IsClose) {
 }
 
 TEST(Generate, WrongInputsThrow) {
-  Ats model = make_model(small_options());
+  Ats model = make_model(sampling_options());
   const at::Tensor emotion = parse_emotion("happy", model->options().emotions);
   const at::Tensor features = torch::zeros({4, 5});
   EXPECT_THROW(generate(model, features, emotion, 3.5, {}, core::make_generator(0)),

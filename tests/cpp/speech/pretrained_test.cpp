@@ -13,7 +13,7 @@
 namespace freetalk::speech {
 namespace {
 
-SpeechEncoderOptions small_options() {
+SpeechEncoderOptions pretrained_options() {
   SpeechEncoderOptions options;
   options.conv_dim = std::vector<int64_t>(7, 8);
   options.hidden_size = 16;
@@ -31,7 +31,7 @@ class Pretrained : public ::testing::Test {
     dir_ = std::filesystem::temp_directory_path() /
            ("freetalk_pretrained_" + std::to_string(::getpid()));
     torch::manual_seed(2);
-    encoder_ = SpeechEncoder(small_options());
+    encoder_ = SpeechEncoder(pretrained_options());
     encoder_->eval();
     save_speech_encoder(encoder_, dir_);
   }
@@ -121,7 +121,7 @@ TEST_F(Pretrained, NamesMissingAndMisshapedTensors) {
   rename([&](const std::string& name) { return name == key ? "surprise" : name; });
   EXPECT_NE(load_error().find(key), std::string::npos);
   EXPECT_NE(load_error().find("surprise"), std::string::npos);
-  auto options = small_options();
+  auto options = pretrained_options();
   options.intermediate_size = 48;
   const SpeechEncoder other(options);
   save_speech_encoder(other, dir_ / "other");
