@@ -5,6 +5,7 @@ Native rooms of freetalk.
 from __future__ import annotations
 from . import core
 from . import audio
+from . import mesh
 from . import geometry
 from . import nn
 from . import speech
@@ -22,6 +23,7 @@ __all__: list[str] = [
     "core",
     "diffusion",
     "geometry",
+    "mesh",
     "metrics",
     "nn",
     "speech",

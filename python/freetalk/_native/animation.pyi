@@ -1,6 +1,6 @@
 from __future__ import annotations
 import freetalk._native.audio
-import freetalk._native.geometry
+import freetalk._native.mesh
 import numpy
 import numpy.typing
 import os
@@ -79,7 +79,7 @@ class Animation:
     metadata_json: str
     def __init__(
         self,
-        mesh: freetalk._native.geometry.Mesh,
+        mesh: freetalk._native.mesh.Mesh,
         displacements: torch.Tensor,
         *,
         fps: typing.SupportsFloat | typing.SupportsIndex = 30.0,
@@ -106,7 +106,7 @@ class Animation:
     @property
     def frame(self) -> MeshFrame: ...
     @property
-    def mesh(self) -> freetalk._native.geometry.Mesh: ...
+    def mesh(self) -> freetalk._native.mesh.Mesh: ...
     @property
     def num_frames(self) -> int: ...
 

@@ -3,6 +3,7 @@ import collections.abc
 import freetalk._native.animation
 import freetalk._native.audio
 import freetalk._native.geometry
+import freetalk._native.mesh
 import os
 import typing
 
@@ -69,20 +70,20 @@ class Talker:
     ) -> Talker: ...
     def align(
         self,
-        mesh: freetalk._native.geometry.Mesh,
+        mesh: freetalk._native.mesh.Mesh,
         options: freetalk._native.geometry.AlignOptions = ...,
     ) -> freetalk._native.geometry.Alignment: ...
     def animate(
         self,
         audio: freetalk._native.audio.Audio,
-        mesh: freetalk._native.geometry.Mesh,
+        mesh: freetalk._native.mesh.Mesh,
         options: TalkerOptions = ...,
         progress: collections.abc.Callable[[str, float], None] | None = None,
     ) -> tuple[freetalk._native.animation.Animation, Report]: ...
     def animate_many(
         self,
         audio: freetalk._native.audio.Audio,
-        mesh: freetalk._native.geometry.Mesh,
+        mesh: freetalk._native.mesh.Mesh,
         *,
         seeds: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex],
         options: TalkerOptions = ...,

@@ -1,0 +1,203 @@
+from __future__ import annotations
+import collections.abc
+import numpy
+import numpy.typing
+import os
+import typing
+
+__all__: list[str] = [
+    "Mesh",
+    "MeshReport",
+    "connected_components",
+    "face_areas",
+    "load_mesh",
+    "mesh_report",
+    "save_mesh",
+    "vertex_normals",
+]
+
+class Mesh:
+    """
+    A polygon mesh as its file has it, plus its triangles.
+    """
+    def __init__(
+        self,
+        vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
+        polygons: collections.abc.Sequence[
+            collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex]
+        ],
+        *,
+        texcoords: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] = ...,
+        polygon_texcoords: collections.abc.Sequence[
+            collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex]
+        ] = [],
+        name: str = "mesh",
+    ) -> None: ...
+    def __repr__(self) -> str: ...
+    @property
+    def face_polygon(self) -> list[int]:
+        """
+        (F,) the polygon each triangle was cut from.
+        """
+    @property
+    def faces(self) -> typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, n]"]:
+        """
+        (F, 3) int32 triangles.
+        """
+    @property
+    def name(self) -> str:
+        """
+        The file's name, for messages.
+        """
+    @name.setter
+    def name(self, arg0: str) -> None: ...
+    @property
+    def polygon_texcoords(self) -> list[list[int]]:
+        """
+        Rows of texcoords of each polygon's corners.
+        """
+    @property
+    def polygons(self) -> list[list[int]]:
+        """
+        Vertex indices of each polygon as in the file; empty if all are triangles.
+        """
+    @property
+    def texcoords(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+        """
+        (Vt, 2) float64; (0, 2) without.
+        """
+    @property
+    def vertices(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+        """
+        (V, 3) float64, the file's unit.
+        """
+    @vertices.setter
+    def vertices(
+        self, arg1: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"]
+    ) -> None: ...
+
+class MeshReport:
+    """
+    What a mesh is like, defect by defect.
+    """
+    def findings(self) -> list[str]:
+        """
+        One line a finding, worst first.
+        """
+    @property
+    def boundaries(self) -> int:
+        """
+        Rims of boundary edges.
+        """
+    @property
+    def boundary_edges(self) -> int:
+        """
+        Of one polygon.
+        """
+    @property
+    def coincident_vertices(self) -> int:
+        """
+        At the place of an earlier vertex.
+        """
+    @property
+    def duplicate_polygons(self) -> int:
+        """
+        With the vertices of an earlier one.
+        """
+    @property
+    def edges(self) -> int: ...
+    @property
+    def extent(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[3, 1]"]:
+        """
+        (3,) of the referenced vertices, file's unit.
+        """
+    @property
+    def inconsistent_edges(self) -> int:
+        """
+        Whose two polygons turn opposite ways.
+        """
+    @property
+    def larger_polygons(self) -> int:
+        """
+        Of more than three corners.
+        """
+    @property
+    def lines_and_points(self) -> int:
+        """
+        Not kept: no faces.
+        """
+    @property
+    def nonmanifold_edges(self) -> int:
+        """
+        Of three or more.
+        """
+    @property
+    def nonmanifold_vertices(self) -> int:
+        """
+        Where surfaces touch in a point only.
+        """
+    @property
+    def parts(self) -> int:
+        """
+        Connected by common vertices.
+        """
+    @property
+    def polygons(self) -> int: ...
+    @property
+    def repeated_corner_polygons(self) -> int:
+        """
+        That name a vertex twice.
+        """
+    @property
+    def triangles(self) -> int:
+        """
+        After polygons are cut.
+        """
+    @property
+    def unreferenced_vertices(self) -> int:
+        """
+        In no face.
+        """
+    @property
+    def vertices(self) -> int: ...
+    @property
+    def zero_area_triangles(self) -> int: ...
+
+def connected_components(
+    num_vertices: typing.SupportsInt | typing.SupportsIndex,
+    faces: typing.Annotated[numpy.typing.ArrayLike, numpy.int32, "[m, n]"],
+) -> typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, 1]"]:
+    """
+    (V,) component of each vertex.
+    """
+
+def face_areas(
+    vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
+    faces: typing.Annotated[numpy.typing.ArrayLike, numpy.int32, "[m, n]"],
+) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+    """
+    (F,) areas.
+    """
+
+def load_mesh(path: os.PathLike | str | bytes) -> Mesh:
+    """
+    Reads an OBJ, PLY, OFF, STL or glTF file.
+    """
+
+def mesh_report(mesh: Mesh) -> MeshReport:
+    """
+    What a mesh is like, defect by defect.
+    """
+
+def save_mesh(path: os.PathLike | str | bytes, mesh: Mesh) -> None:
+    """
+    Writes an OBJ or PLY file atomically.
+    """
+
+def vertex_normals(
+    vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
+    faces: typing.Annotated[numpy.typing.ArrayLike, numpy.int32, "[m, n]"],
+) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+    """
+    (V, 3) unit vertex normals.
+    """
