@@ -21,6 +21,9 @@ function(freetalk_compile target)
   endforeach()
   target_compile_features(${target} PUBLIC cxx_std_20)
   target_compile_options(${target} PRIVATE -Wall -Wextra)
+  if(FREETALK_UNITY)  # to the compiler a unit's own types, seen from another unit, are a header's
+    target_compile_options(${target} PRIVATE -Wno-subobject-linkage)
+  endif()
   # DEFINE_SYMBOL: units are the same in static and shared libraries, so a compiler cache serves both.
   set_target_properties(${target} PROPERTIES
     UNITY_BUILD ${FREETALK_UNITY} UNITY_BUILD_BATCH_SIZE 9 DEFINE_SYMBOL "")

@@ -3,9 +3,9 @@
 #include <torch/torch.h>
 
 #include "freetalk/core/error.h"
-#include "nn/implicit_diffusion.h"
 #include "freetalk/nn/poisson.h"
 #include "freetalk/nn/sparse.h"
+#include "nn/implicit_diffusion.h"
 #include "nn/surface_means.h"
 
 namespace freetalk::nn {

@@ -128,7 +128,8 @@ def test_public_headers_include_only_public_headers() -> None:
         f"{relative(path)} includes {header}"
         for path in sorted(ROOT.glob("include/freetalk/*/*.h"))
         for header in INCLUDE.findall(path.read_text())
-        if not header.startswith("freetalk/") and (header.split("/")[0] in ROOMS or "/" not in header)
+        if not header.startswith("freetalk/")
+        and (header.split("/")[0] in ROOMS or "/" not in header)
         if header.endswith(".h")
     ]
     assert not internal, "\n".join(internal)

@@ -7,9 +7,9 @@
 #include "freetalk/nn/diffusion_net.h"
 #include "freetalk/nn/embedding.h"
 #include "freetalk/nn/landmark_graph.h"
-#include "nn/local_start.h"
 #include "freetalk/nn/sparse.h"
 #include "freetalk/nn/transformer.h"
+#include "nn/local_start.h"
 
 namespace freetalk::nn {
 namespace {
