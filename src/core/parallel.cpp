@@ -4,6 +4,7 @@
 #include <ATen/ThreadLocalState.h>
 #include <pthread.h>
 
+#include <algorithm>
 #include <atomic>
 
 namespace freetalk::core {
@@ -11,19 +12,18 @@ namespace {
 
 std::atomic<bool> forked{false};
 
-bool serial() {
-  // OpenMP's threads do not live on in a child, which would wait for them for ever.
-  [[maybe_unused]] static const int registered =
-      pthread_atfork(nullptr, nullptr, [] { forked = true; });
-  return forked || at::in_parallel_region();
-}
+// OpenMP's threads do not live on in a child, which would wait for them for ever. Registered when
+// the library is loaded: torch may start threads before the first loop of ours.
+[[maybe_unused]] const int registered = pthread_atfork(nullptr, nullptr, [] { forked = true; });
+
+bool serial() { return forked || at::in_parallel_region(); }
 
 }  // namespace
 
 void parallel_for(int64_t begin, int64_t end, int64_t grain,
                   const std::function<void(int64_t, int64_t)>& body) {
   if (begin >= end) return;
-  if (serial()) {
+  if (serial() || end - begin <= grain || at::get_num_threads() == 1) {
     body(begin, end);
     return;
   }
@@ -31,6 +31,21 @@ void parallel_for(int64_t begin, int64_t end, int64_t grain,
   at::parallel_for(begin, end, grain, [&](int64_t first, int64_t last) {
     const at::ThreadLocalStateGuard guard(state);
     body(first, last);
+  });
+}
+
+void parallel_tasks(int64_t count, int64_t workers,
+                    const std::function<void(int64_t, int64_t)>& body) {
+  std::atomic<int64_t> next{0};
+  parallel_for(0, std::min({count, workers, num_threads()}), 1, [&](int64_t first, int64_t last) {
+    for (int64_t worker = first; worker < last; ++worker) {
+      try {
+        for (int64_t index = next++; index < count; index = next++) body(index, worker);
+      } catch (...) {
+        next = count;
+        throw;
+      }
+    }
   });
 }
 

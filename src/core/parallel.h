@@ -14,6 +14,12 @@ namespace freetalk::core {
 void parallel_for(int64_t begin, int64_t end, int64_t grain,
                   const std::function<void(int64_t, int64_t)>& body);
 
+/// Calls body(index, worker) for each index in [0, count) on at most `workers` threads: a thread
+/// that is done takes the next index, so indices that cost most come first. `worker`, below
+/// `workers` and num_threads(), says whose work space to use; after an exception no index is begun.
+void parallel_tasks(int64_t count, int64_t workers,
+                    const std::function<void(int64_t, int64_t)>& body);
+
 /// The number of pieces that run at the same time in a loop started here: 1 inside another one.
 int64_t num_threads();
 
