@@ -97,10 +97,11 @@ void multiply(TallBlock& x, const Small& factor) {
   });
 }
 
-void scale_rows(TallBlock& x, const Eigen::VectorXd& factors) {
-  for_chunks(x.rows(), [&](int64_t begin, int64_t end, int64_t) {
+/// target <- diag(factors) x; either may have more rows, which are left alone.
+void scale_rows(const TallBlock& x, const Eigen::VectorXd& factors, TallBlock& target) {
+  for_chunks(factors.size(), [&](int64_t begin, int64_t end, int64_t) {
     for (int64_t r = begin; r < end; ++r) {
-      for (int64_t c = 0; c < kBlockWidth; ++c) x.row(r)[c] *= factors[r];
+      for (int64_t c = 0; c < kBlockWidth; ++c) target.row(r)[c] = factors[r] * x.row(r)[c];
     }
   });
 }
@@ -120,8 +121,11 @@ void fill_random(uint64_t seed, TallBlock& x) {
 
 BlockLanczos::BlockLanczos(const ShiftedFactor& factor, const Eigen::VectorXd& mass, double shift,
                            const Eigen::MatrixXd& known)
-    : factor_(factor), shift_(shift), root_mass_(mass.size()) {
-  const Eigen::VectorXi& order = factor.order();
+    : factor_(factor.ldlt()),
+      shift_(shift),
+      root_mass_(mass.size()),
+      solved_(factor_.solve_rows()) {
+  const Eigen::VectorXi& order = factor_.position();
   for (Eigen::Index i = 0; i < mass.size(); ++i) root_mass_[order[i]] = std::sqrt(mass[i]);
   for (Eigen::Index first = 0; first < known.cols(); first += kBlockWidth) {
     TallBlock& block = known_.emplace_back(mass.size());
@@ -142,12 +146,11 @@ std::vector<const TallBlock*> BlockLanczos::before(size_t count) const {
   return blocks;
 }
 
-TallBlock BlockLanczos::apply(const TallBlock& x) const {
+TallBlock BlockLanczos::apply(const TallBlock& x) {
+  scale_rows(x, root_mass_, solved_);
+  factor_.solve(solved_);
   TallBlock y(x.rows());
-  std::copy_n(x.data(), x.rows() * kBlockWidth, y.data());
-  scale_rows(y, root_mass_);
-  factor_.solve(y);
-  scale_rows(y, root_mass_);
+  scale_rows(solved_, root_mass_, y);
   return y;
 }
 
@@ -331,7 +334,7 @@ Eigen::MatrixXd BlockLanczos::evecs(int64_t count) const {
     }
   }
   Eigen::VectorXi vertex(rows);
-  for (int64_t v = 0; v < rows; ++v) vertex[factor_.order()[v]] = static_cast<int>(v);
+  for (int64_t v = 0; v < rows; ++v) vertex[factor_.position()[v]] = static_cast<int>(v);
   Eigen::MatrixXd result(rows, count);
   const BlockKernels& kernels = kernels::block_kernels();
   for_chunks(rows, [&](int64_t begin, int64_t end, int64_t) {

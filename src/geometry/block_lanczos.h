@@ -46,7 +46,7 @@ class BlockLanczos {
   void step();
   void clear_last_two(TallBlock& x);
   std::vector<const TallBlock*> before(size_t count) const;
-  TallBlock apply(const TallBlock& x) const;
+  TallBlock apply(const TallBlock& x);
   void clear_of_basis(TallBlock& x) const;
   Small orthonormalize(TallBlock& x) const;
   Small orthonormalize_columns(TallBlock& x) const;
@@ -54,9 +54,10 @@ class BlockLanczos {
   double worst_residual(int64_t count, double floor) const;
   int64_t dimension() const { return kBlockWidth * static_cast<int64_t>(diagonal_.size()); }
 
-  const ShiftedFactor& factor_;
+  const SparseLdlt& factor_;
   double shift_;
   Eigen::VectorXd root_mass_;  // in the factor's order, as all blocks
+  TallBlock solved_;           // work space of apply
   std::vector<TallBlock> known_;
   std::vector<TallBlock> basis_;  // one more than diagonal_ after the first step
   std::vector<Small> diagonal_;   // T_jj

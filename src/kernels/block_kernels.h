@@ -1,5 +1,5 @@
 // Blocks of eight tall columns stored by rows: a row is one 64-byte line, so that products between
-// blocks and triangular solves run eight right-hand sides at a time.
+// blocks and triangular solves (ldlt_kernels.h) run eight right-hand sides at a time.
 #pragma once
 
 #include <cstdint>
@@ -30,23 +30,11 @@ class TallBlock {
   std::unique_ptr<double[], Free> data_;
 };
 
-/// A unit lower triangular matrix by compressed columns, its diagonal not stored.
-struct UnitLower {
-  int64_t size;
-  const int* column_begin;  // (size + 1,)
-  const int* row;
-  const double* value;
-};
-
 struct BlockKernels {
   /// out (8, 8) += a^T b over rows [0, rows).
   void (*add_gram)(const double* a, const double* b, int64_t rows, double* out);
   /// target (rows, 8) -= a (rows, 8) c (8, 8).
   void (*subtract_product)(const double* a, const double* c, int64_t rows, double* target);
-  /// x <- L^-1 x.
-  void (*solve_lower)(const UnitLower& lower, double* x);
-  /// x <- L^-T D^-1 x, `inverse_pivots` the diagonal of D^-1.
-  void (*solve_upper)(const UnitLower& lower, const double* inverse_pivots, double* x);
 };
 
 /// The kernels for isa().
