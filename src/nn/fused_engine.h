@@ -4,15 +4,15 @@
 #include <torch/torch.h>
 
 #include <algorithm>
-#include <atomic>
 #include <initializer_list>
+#include <memory>
 #include <type_traits>
 #include <utility>
 #include <vector>
 
 #include "core/parallel.h"
+#include "core/work_pool.h"
 #include "fused_layout.h"
-#include "kernels/fused_kernels.h"
 #include "mesh_rows.h"
 #include "nn/fused_diffusion.h"
 
@@ -26,12 +26,6 @@ class FusedDiffusion::Engine {
 };
 
 namespace fused {
-
-using kernels::Epilogue;
-using kernels::GradientRows;
-using kernels::Kernels;
-using kernels::kTile;
-using kernels::Segment;
 
 inline constexpr int64_t kEigenBlock = 8;  // the accumulation kernel's rows
 inline constexpr int64_t kMaxKeys = 128;   // the softmax kernel's work space
@@ -63,15 +57,14 @@ class FusedEngine final : public FusedDiffusion::Engine {
                                    : at::zeros({num_frames, columns_}, at::kFloat),
                                inputs.keys.defined() ? plain(inputs.keys) : inputs.keys,
                                inputs.values.defined() ? plain(inputs.values) : inputs.values};
-    std::atomic<int64_t> next{0};  // A thread that something else slows down takes fewer frames.
-    core::parallel_for(0, std::min(in_work, num_frames), 1, [&](int64_t begin, int64_t end) {
-      for (int64_t worker = begin; worker < end; ++worker) {
-        Work work(*this, prepared);
-        for (int64_t frame = next++; frame < num_frames; frame = next++) {
-          run_frame(prepared, frame, work, result.data_ptr<float>() + frame * vertices_ * outputs_);
-        }
-      }
+    const int64_t workers = std::min({in_work, num_frames, core::num_threads()});
+    std::vector<std::unique_ptr<Work>> work(static_cast<size_t>(workers));
+    core::parallel_tasks(num_frames, workers, [&](int64_t frame, int64_t worker) {
+      std::unique_ptr<Work>& own = work[static_cast<size_t>(worker)];
+      if (!own && !(own = idle_.take())) own = std::make_unique<Work>(*this);
+      run_frame(prepared, frame, *own, result.data_ptr<float>() + frame * vertices_ * outputs_);
     });
+    for (std::unique_ptr<Work>& own : work) idle_.give(std::move(own));
     return result;
   }
 
@@ -98,7 +91,7 @@ class FusedEngine final : public FusedDiffusion::Engine {
     std::vector<T> packed[3], mixed, rows, z, element, first, second, grouped, weights;
     std::vector<std::vector<T>> keys, values;  // of each head, packed
 
-    Work(const FusedEngine& e, const FrameInputs& inputs)
+    explicit Work(const FusedEngine& e)
         : x(size(e.vertices_ * e.columns_)),
           sums(size(e.modes_ * e.columns_)),
           spectrum(sums.size()),
@@ -113,11 +106,14 @@ class FusedEngine final : public FusedDiffusion::Engine {
           second(element.size()),
           grouped(element.size()) {
       for (std::vector<T>& part : packed) part.resize(sums.size());
-      if (!inputs.keys.defined()) return;
-      const int64_t keys_padded = round_up(inputs.keys.size(2), e.kernels_.panel);
+    }
+
+    /// Room for attention to this many keys.
+    void fit(const FusedEngine& e, int64_t keys_padded) {
+      if (scores.size() == size(kTile * keys_padded)) return;
       scores.assign(size(kTile * keys_padded), 0.0F);
-      weights.resize(scores.size());
-      keys.assign(size(inputs.keys.size(1)), std::vector<T>(size(keys_padded * e.head_columns_)));
+      weights.assign(scores.size(), T{});
+      keys.assign(size(e.heads_), std::vector<T>(size(keys_padded * e.head_columns_)));
       values.assign(keys.size(), std::vector<T>(size(keys_padded * e.columns_)));
     }
     static size_t size(int64_t count) { return static_cast<size_t>(count); }
@@ -248,6 +244,7 @@ class FusedEngine final : public FusedDiffusion::Engine {
   void pack_heads(const FrameInputs& inputs, int64_t frame, Work& work) const {
     if (!inputs.keys.defined()) return;
     const int64_t count = inputs.keys.size(2), columns = round_up(count, kernels_.panel);
+    work.fit(*this, columns);
     for (int64_t head = 0; head < heads_; ++head) {
       const at::Tensor keys = padded(inputs.keys[frame][head].t(), head_columns_, columns);
       kernels_.pack(keys.const_data_ptr<float>(), head_columns_, columns,
@@ -393,6 +390,7 @@ class FusedEngine final : public FusedDiffusion::Engine {
   std::vector<std::vector<T>> queries_;
   std::vector<Block> blocks_;
   at::Tensor base_, last_weight_, last_bias_;
+  mutable core::WorkPool<Work> idle_;
 };
 
 }  // namespace fused

@@ -5,7 +5,15 @@
 
 #include <cstdint>
 
+#include "kernels/fused_kernels.h"
+
 namespace freetalk::nn::fused {
+
+using kernels::Epilogue;
+using kernels::GradientRows;
+using kernels::Kernels;
+using kernels::kTile;
+using kernels::Segment;
 
 inline int64_t round_up(int64_t value, int64_t multiple) {
   return (value + multiple - 1) / multiple * multiple;

@@ -3,34 +3,14 @@
 #include <torch/csrc/autograd/custom_function.h>
 #include <torch/torch.h>
 
+#include <algorithm>
+
 #include "core/parallel.h"
 #include "freetalk/core/error.h"
+#include "kernels/sparse_rows.h"
 
 namespace freetalk::nn {
 namespace {
-
-#define FREETALK_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
-
-// One row of A times x: y = sum_j value_j x[column_j], C channels each.
-FREETALK_CLONES void row_product(const float* values, const int64_t* columns, int64_t count,
-                                 const float* x, int64_t channels, float* y) {
-  for (int64_t c = 0; c < channels; ++c) y[c] = 0;
-  for (int64_t entry = 0; entry < count; ++entry) {
-    const float value = values[entry];
-    const float* source = x + columns[entry] * channels;
-    for (int64_t c = 0; c < channels; ++c) y[c] += value * source[c];
-  }
-}
-
-FREETALK_CLONES void row_product(const double* values, const int64_t* columns, int64_t count,
-                                 const double* x, int64_t channels, double* y) {
-  for (int64_t c = 0; c < channels; ++c) y[c] = 0;
-  for (int64_t entry = 0; entry < count; ++entry) {
-    const double value = values[entry];
-    const double* source = x + columns[entry] * channels;
-    for (int64_t c = 0; c < channels; ++c) y[c] += value * source[c];
-  }
-}
 
 template <class T>
 void cpu_product(const at::Tensor& matrix, const at::Tensor& x, at::Tensor& y) {
@@ -38,17 +18,18 @@ void cpu_product(const at::Tensor& matrix, const at::Tensor& x, at::Tensor& y) {
   const at::Tensor columns = matrix.col_indices().to(at::kLong).contiguous();
   const at::Tensor values = matrix.values().contiguous();
   const int64_t num_rows = matrix.size(0), channels = x.size(2), vertices = x.size(1);
-  const int64_t* row_data = rows.const_data_ptr<int64_t>();
-  const int64_t* column_data = columns.const_data_ptr<int64_t>();
-  const T* value_data = values.const_data_ptr<T>();
+  const kernels::SparseRows<T, int64_t> view{rows.const_data_ptr<int64_t>(),
+                                             columns.const_data_ptr<int64_t>(),
+                                             values.const_data_ptr<T>()};
   const T* x_data = x.const_data_ptr<T>();
   T* y_data = y.data_ptr<T>();
   core::parallel_for(0, x.size(0) * num_rows, 512, [&](int64_t begin, int64_t end) {
-    for (int64_t index = begin; index < end; ++index) {
-      const int64_t row = index % num_rows, first = row_data[row];
-      row_product(value_data + first, column_data + first, row_data[row + 1] - first,
-                  x_data + index / num_rows * vertices * channels, channels,
-                  y_data + index * channels);
+    for (int64_t index = begin; index < end;) {  // a stretch of rows of one batch at a time
+      const int64_t batch = index / num_rows, row = index % num_rows;
+      const int64_t count = std::min(end - index, num_rows - row);
+      kernels::multiply_rows(view, row, row + count, x_data + batch * vertices * channels, channels,
+                             y_data + index * channels);
+      index += count;
     }
   });
 }

@@ -1,11 +1,11 @@
 #include "freetalk/stm/frame_decoder.h"
 
-#include <ATen/Parallel.h>
 #include <ATen/autocast_mode.h>
 #include <torch/torch.h>
 
 #include <algorithm>
 
+#include "core/parallel.h"
 #include "freetalk/core/error.h"
 #include "freetalk/nn/diffusion_net.h"
 #include "nn/fused_diffusion.h"
@@ -59,31 +59,28 @@ FrameDecoder::FrameDecoder(std::shared_ptr<StmImpl> model, const MeshFeatures& m
     fused_ = std::make_unique<nn::FusedDiffusion>(*net, operators, mesh.hidden, mesh.queries,
                                                   options.precision == "bfloat16");
   }
-  choose_chunk();
 }
 
 FrameDecoder::~FrameDecoder() = default;
 
-void FrameDecoder::choose_chunk() {
+FrameDecoder::Plan FrameDecoder::plan() const {
   const int64_t vertices = operators_.num_vertices();
-  if (!fused_) {
-    chunk_ = model_->frames_per_chunk(vertices, options_.memory_bytes);
-    return;
-  }
+  if (!fused_) return {model_->frames_per_chunk(vertices, options_.memory_bytes), 1};
   const int64_t of_work = fused_->bytes_per_frame();
-  in_work_ = std::clamp<int64_t>(options_.memory_bytes / of_work, 1, at::get_num_threads());
+  const int64_t in_work =
+      std::clamp<int64_t>(options_.memory_bytes / of_work, 1, core::num_threads());
   const auto& o = model_->options();
   const int64_t of_inputs =
       3 * 68 *
       (o.gcn_hidden + o.index_code_dim + 2 * o.attention_dim + o.attention_heads * o.decoder_width);
   const int64_t of_frame = 4 * (2 * 3 * vertices + of_inputs);
-  const int64_t left = options_.memory_bytes - in_work_ * of_work;
-  chunk_ = std::clamp<int64_t>(left / of_frame / in_work_ * in_work_, in_work_, kMaxChunk);
+  const int64_t left = options_.memory_bytes - in_work * of_work;
+  return {std::clamp<int64_t>(left / of_frame / in_work * in_work, in_work, kMaxChunk), in_work};
 }
 
-at::Tensor FrameDecoder::decode_chunk(const at::Tensor& landmarks) {
+at::Tensor FrameDecoder::decode_chunk(const at::Tensor& landmarks, int64_t in_work) {
   if (fused_) {
-    return fused_->run(model_->frame_inputs(landmarks), landmarks.size(0), in_work_)
+    return fused_->run(model_->frame_inputs(landmarks), landmarks.size(0), in_work)
         .mul_(model_->options().displacement_scale);
   }
   if (options_.precision == "bfloat16") {
@@ -96,9 +93,10 @@ at::Tensor FrameDecoder::decode_chunk(const at::Tensor& landmarks) {
 void FrameDecoder::decode(const at::Tensor& landmarks,
                           const std::function<void(int64_t, const at::Tensor&)>& sink) {
   const torch::NoGradGuard no_grad;
-  for (int64_t first = 0; first < landmarks.size(0); first += chunk_) {
-    const int64_t count = std::min(chunk_, landmarks.size(0) - first);
-    sink(first, decode_chunk(landmarks.narrow(0, first, count)));
+  const auto [chunk, in_work] = plan();
+  for (int64_t first = 0; first < landmarks.size(0); first += chunk) {
+    const int64_t count = std::min(chunk, landmarks.size(0) - first);
+    sink(first, decode_chunk(landmarks.narrow(0, first, count), in_work));
   }
 }
 

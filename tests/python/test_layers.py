@@ -227,3 +227,22 @@ def test_no_unfinished_work_is_left() -> None:
         if marks.search(line)
     ]
     assert not found, "\n".join(found)
+
+
+def test_threads_have_one_door_and_instruction_sets_one_switch() -> None:
+    """core/parallel.h starts every thread; only the kernels know what the processor offers."""
+    threads = re.compile(
+        r"\bat::parallel_for\b|\bstd::j?thread\b|#\s*pragma\s+omp\b|[<\"]omp\.h[>\"]"
+    )
+    sets = re.compile(r"target_clones|__builtin_cpu_supports|immintrin\.h|GCC target")
+    found = []
+    for folder in ("include", "src", "python/bindings"):
+        for path in sorted((ROOT / folder).rglob("*")):
+            if path.suffix not in {".h", ".cpp", ".inc"}:
+                continue
+            text = path.read_text()
+            if threads.search(text) and relative(path) != "src/core/parallel.cpp":
+                found.append(f"{relative(path)} starts threads of its own")
+            if sets.search(text) and path.parent != ROOT / "src/kernels":
+                found.append(f"{relative(path)} chooses an instruction set")
+    assert not found, "\n".join(found)

@@ -31,15 +31,19 @@ class FrameDecoder {
   at::Tensor decode(const at::Tensor& landmarks);
 
  private:
-  at::Tensor decode_chunk(const at::Tensor& landmarks);
-  void choose_chunk();
+  /// Frames of a chunk, and how many of them are in work at a time: as many as the memory and the
+  /// threads of this moment allow.
+  struct Plan {
+    int64_t chunk, in_work;
+  };
+  Plan plan() const;
+  at::Tensor decode_chunk(const at::Tensor& landmarks, int64_t in_work);
 
   std::shared_ptr<StmImpl> model_;
   MeshFeatures mesh_;
   geometry::SurfaceOperators operators_;
   DecodeOptions options_;
   std::unique_ptr<nn::FusedDiffusion> fused_;
-  int64_t chunk_ = 1, in_work_ = 1;
 };
 
 }  // namespace freetalk::stm
