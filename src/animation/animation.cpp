@@ -35,8 +35,8 @@ void SaveOptions::check() const {
   static const std::vector<std::string> known = {"", "npz", "glb", "gltf", "obj", "ply"};
   FREETALK_CHECK(std::find(known.begin(), known.end(), format) != known.end(), "unknown format '",
                  format, "'; known are npz, glb, gltf, obj, ply");
-  FREETALK_CHECK(max_morph_targets >= 1 && max_morph_targets <= 1024,
-                 "max_morph_targets must be 1 ... 1024, found ", max_morph_targets);
+  FREETALK_CHECK(max_morph_targets >= 2 && max_morph_targets <= 1024,
+                 "max_morph_targets must be 2 ... 1024, found ", max_morph_targets);
   FREETALK_CHECK(morph_tolerance_mm > 0, "morph_tolerance_mm must be positive, found ",
                  morph_tolerance_mm);
 }

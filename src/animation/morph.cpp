@@ -75,17 +75,35 @@ double block_error(const at::Tensor& motion, const at::Tensor& weights, const at
   return std::sqrt(rest.view({rest.size(0), -1, 3}).square().sum(-1).max().item<double>());
 }
 
+/// The same motion with weights in [0, 1]: a target spans the range of its weights, and one more,
+/// on in every frame, is where the ranges begin. @param weights (T, K). @param targets (K, 3V).
+MorphBasis non_negative(const at::Tensor& weights, const at::Tensor& targets) {
+  MorphBasis result;
+  if (targets.size(0) == 0) {
+    result.weights = weights.to(at::kFloat);
+    result.targets = targets.to(at::kFloat);
+    return result;
+  }
+  const auto low = std::get<0>(weights.min(0)).clamp_max(0.0);  // 0 is the rest pose
+  const auto span = (std::get<0>(weights.max(0)).clamp_min(0.0) - low).clamp_min(1e-30);
+  const auto always = at::ones({weights.size(0), 1}, weights.options());
+  result.weights = at::cat({(weights - low) / span, always}, 1).to(at::kFloat).contiguous();
+  result.targets =
+      at::cat({targets * span.unsqueeze(1), low.unsqueeze(0).matmul(targets)}).to(at::kFloat);
+  return result;
+}
+
 }  // namespace
 
 MorphBasis morph_basis(const at::Tensor& displacements, double tolerance, int64_t max_targets) {
   FREETALK_CHECK(displacements.dim() == 3 && displacements.size(2) == 3 &&
                      displacements.scalar_type() == at::kFloat && displacements.size(0) > 0,
                  "morph_basis: displacements must be (T, V, 3) float32 with T > 0");
-  FREETALK_CHECK(tolerance > 0 && max_targets >= 1,
-                 "morph_basis: tolerance and max_targets must be positive");
+  FREETALK_CHECK(tolerance > 0 && max_targets >= 2,
+                 "morph_basis: tolerance must be positive and max_targets at least 2");
   const int64_t frames = displacements.size(0), vertices = displacements.size(1);
   const auto motion = displacements.reshape({frames, 3 * vertices});
-  const auto full = right_singular_vectors(motion, max_targets);
+  const auto full = right_singular_vectors(motion, max_targets - 1);
   auto weights = at::zeros({frames, full.size(0)}, at::kDouble);
   for (int64_t start = 0; start < 3 * vertices; start += kColumns) {
     const int64_t stop = std::min(start + kColumns, 3 * vertices);
@@ -101,19 +119,13 @@ MorphBasis morph_basis(const at::Tensor& displacements, double tolerance, int64_
       rank = std::min(rank + kRankStep, full.size(0));
     }
   });
-  MorphBasis result;
-  weights = weights.slice(1, 0, rank);
-  const auto scale =
-      rank > 0 ? std::get<0>(weights.abs().max(0)).clamp_min(1e-30) : at::ones({0}, at::kDouble);
-  result.weights = (weights / scale).to(at::kFloat).contiguous();
-  result.targets = (full.slice(0, 0, rank) * scale.view({-1, 1}))
-                       .to(at::kFloat)
-                       .reshape({rank, vertices, 3})
-                       .contiguous();
+  MorphBasis result = non_negative(weights.slice(1, 0, rank), full.slice(0, 0, rank));
+  const auto flat = result.targets;
   for_blocks(motion, [&](int64_t start, int64_t stop) {
-    result.max_error =
-        std::max(result.max_error, block_error(motion, weights32, basis, rank, start, stop));
+    result.max_error = std::max(
+        result.max_error, block_error(motion, result.weights, flat, flat.size(0), start, stop));
   });
+  result.targets = flat.view({flat.size(0), vertices, 3});
   return result;
 }
 

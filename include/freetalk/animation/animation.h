@@ -24,7 +24,7 @@ struct MeshFrame {
 
 struct SaveOptions {
   std::string format;               // "npz", "glb", "gltf", "obj", "ply"; empty: from the path
-  int64_t max_morph_targets = 128;  // glTF: at most this many, 1 ... 1024
+  int64_t max_morph_targets = 128;  // glTF: at most this many, 2 ... 1024
   double morph_tolerance_mm =
       0.05;  // glTF: largest vertex error at which no further target is added, > 0
 

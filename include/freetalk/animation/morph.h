@@ -1,7 +1,9 @@
 // A displacement sequence as few morph targets: D (T, 3V) ~ W (T, K) B (K, 3V).
 //
 // B spans the leading right singular vectors of D, from the eigenvectors of the smaller Gram matrix
-// (D Dt, or Dt D when 3V < T). The rest pose stays the base shape: D is not centred.
+// (D Dt, or Dt D when 3V < T). The rest pose stays the base shape: D is not centred. Weights lie in
+// [0, 1], to which Blender and other programs clamp them: the range of each target's weights is
+// moved there, and one more target, on in every frame, holds where the ranges begin.
 #pragma once
 
 #include <ATen/core/Tensor.h>
@@ -11,9 +13,8 @@
 namespace freetalk::animation {
 
 struct MorphBasis {
-  at::Tensor
-      targets;  ///< (K, V, 3) float32, scaled so that the largest |weight| of each target is 1
-  at::Tensor weights;      ///< (T, K) float32 in [-1, 1]
+  at::Tensor targets;      ///< (K, V, 3) float32
+  at::Tensor weights;      ///< (T, K) float32 in [0, 1]
   double max_error = 0.0;  ///< largest distance of a vertex from its displacement over all frames
 };
 
