@@ -4,6 +4,8 @@
 #include <torch/extension.h>
 
 #include "freetalk/core/cache_dir.h"
+#include "freetalk/core/conventions.h"
+#include "freetalk/core/module_io.h"
 #include "freetalk/core/options.h"
 
 namespace py = pybind11;
@@ -18,6 +20,17 @@ void bind_core(py::module_& m) {
   m.def("save_safetensors", &freetalk::core::save_safetensors, py::arg("path"), py::arg("tensors"),
         py::arg("metadata") = freetalk::core::Metadata{}, py::call_guard<py::gil_scoped_release>(),
         "Writes tensors by name to a safetensors file, atomically.");
+  m.attr("NUM_LANDMARKS") = freetalk::core::kNumLandmarks;
+  py::dict units;
+  for (const auto& unit : freetalk::core::kUnits) units[unit.name] = unit.metres;
+  m.attr("UNITS") = units;
+  m.def("save_model_files", &freetalk::core::save_model_files, py::arg("directory"),
+        py::arg("config"), py::arg("tensors"), py::call_guard<py::gil_scoped_release>(),
+        "Writes model.safetensors and config.json (JSON text), each of which says which save it is "
+        "of.");
+  m.def("read_model_options", &freetalk::core::read_model_options, py::arg("directory"),
+        py::arg("format"), py::call_guard<py::gil_scoped_release>(),
+        "The options in config.json of a model's folder, as JSON text.");
   m.def("nearest_name", &freetalk::core::nearest_name, py::arg("name"), py::arg("known"),
         "The known name with the smallest edit distance.");
 }

@@ -4,11 +4,11 @@
 #include <nlohmann/json.hpp>
 
 #include <algorithm>
-#include <cctype>
 #include <cmath>
 
 #include "core/scratch.h"
 #include "freetalk/core/error.h"
+#include "freetalk/core/file.h"
 #include "gltf.h"
 #include "npz_animation.h"
 #include "sequence.h"
@@ -18,14 +18,6 @@ namespace {
 
 constexpr const char* kKnown =
     ".npz, .glb, .gltf, folder/*.obj or folder/*.ply (.mp4 through the Python package)";
-
-std::string extension_of(const std::filesystem::path& path) {
-  std::string extension = path.extension().string();
-  if (!extension.empty()) extension.erase(0, 1);
-  std::transform(extension.begin(), extension.end(), extension.begin(),
-                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-  return extension;
-}
 
 bool is_pattern(const std::filesystem::path& path) { return path.stem() == "*"; }
 
@@ -72,9 +64,9 @@ void Animation::check() const {
 SaveReport Animation::save(const std::filesystem::path& path, const SaveOptions& options) const {
   options.check();
   check();
-  std::string format = options.format.empty() ? extension_of(path) : options.format;
+  std::string format = options.format.empty() ? core::lower_extension(path) : options.format;
   if (format == "obj" || format == "ply") {
-    FREETALK_CHECK(is_pattern(path) || extension_of(path) != format, path.string(),
+    FREETALK_CHECK(is_pattern(path) || core::lower_extension(path) != format, path.string(),
                    ": a sequence has one file a frame; give a folder, ",
                    (path.parent_path() / path.stem() / "*").string(), ".", format);
     return save_sequence(is_pattern(path) ? path.parent_path() : path, format, *this);
@@ -82,7 +74,7 @@ SaveReport Animation::save(const std::filesystem::path& path, const SaveOptions&
   FREETALK_CHECK(format == "npz" || format == "glb" || format == "gltf", path.string(),
                  ": can't tell the format from '", path.extension().string(), "'; known are ",
                  kKnown);
-  FREETALK_CHECK(extension_of(path) == format, path.string(), ": format ", format,
+  FREETALK_CHECK(core::lower_extension(path) == format, path.string(), ": format ", format,
                  " needs a path ending in .", format);
   if (format != "npz") return save_gltf(path, *this, options);
   save_npz(path, *this);

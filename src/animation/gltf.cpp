@@ -250,7 +250,7 @@ SaveReport save_gltf(const std::filesystem::path& path, const Animation& animati
   SaveReport report;
   report.num_morph_targets = basis.targets.size(0);
   report.morph_error_mm = basis.max_error * unit_mm;
-  if (path.extension() == ".glb") {
+  if (core::lower_extension(path) == "glb") {
     report.format = "glb";
     write_glb(path, root, buffer);
     return report;

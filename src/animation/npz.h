@@ -48,9 +48,9 @@ struct NpzArray {
   std::string descr;
   bool fortran_order = false;
   std::vector<int64_t> shape;
-  uint64_t offset = 0;  // of the first item in the file
-
-  int64_t count() const;
+  uint64_t offset = 0;      // of the first item in the file
+  int64_t count = 0;        // of items
+  uint64_t item_bytes = 0;  // count * item_bytes lie in the file
 };
 
 /// Reads archives as numpy.savez writes them.
@@ -74,10 +74,12 @@ class NpzReader {
  private:
   std::filesystem::path path_;
   std::ifstream file_;
+  uint64_t file_bytes_ = 0;
   std::map<std::string, NpzArray> arrays_;
 
   void read_directory();
   NpzArray read_header(uint64_t entry_offset, uint64_t entry_bytes);
+  void measure(NpzArray& array, uint64_t available) const;
   std::string bytes_at(uint64_t offset, uint64_t count);
 };
 

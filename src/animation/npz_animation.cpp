@@ -128,14 +128,16 @@ Animation load_npz(const std::filesystem::path& path) {
   reader.read_raw("displacements", "<f4", animation.displacements.data_ptr());
   core::release_pages(animation.displacements);
   const auto scalar = [&](const std::string& name) {
-    FREETALK_RUNTIME_CHECK(reader.at(name).count() == 1, where, ": '", name,
-                           "' must be one number");
+    FREETALK_RUNTIME_CHECK(reader.at(name).count == 1, where, ": '", name, "' must be one number");
     return reader.read<double>(name).front();
   };
   animation.fps = scalar("fps");
   if (reader.contains("audio")) {
     animation.audio.samples = reader.read<float>("audio");
-    animation.audio.sample_rate_hz = static_cast<int64_t>(scalar("sample_rate_hz"));
+    const double rate = scalar("sample_rate_hz");
+    FREETALK_RUNTIME_CHECK(rate >= audio::kMinSampleRateHz && rate <= audio::kMaxSampleRateHz,
+                           where, ": 'sample_rate_hz' is ", rate);
+    animation.audio.sample_rate_hz = static_cast<int64_t>(rate);
   }
   if (reader.contains("metadata")) animation.metadata_json = reader.read_text("metadata");
   if (reader.contains("metres_per_unit")) {

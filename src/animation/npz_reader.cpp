@@ -1,7 +1,8 @@
 #include <algorithm>
+#include <charconv>
 #include <cstring>
-#include <functional>
-#include <numeric>
+#include <optional>
+#include <string_view>
 
 #include "freetalk/core/error.h"
 #include "npz.h"
@@ -25,6 +26,13 @@ std::string header_value(const std::string& header, const std::string& key,
   const auto from = header.find_first_not_of(" ", start + key.size() + 3);
   const auto to = header.find_first_of(end, from + 1);
   return to == std::string::npos ? "" : header.substr(from, to - from);
+}
+
+/// The whole number at the start of `text`, if an int64 holds it.
+std::optional<int64_t> parse_whole(std::string_view text) {
+  int64_t value = 0;
+  const auto result = std::from_chars(text.data(), text.data() + text.size(), value);
+  return result.ec == std::errc() ? std::optional(value) : std::nullopt;
 }
 
 template <class From, class T>
@@ -53,10 +61,6 @@ void append_utf8(std::string& text, uint32_t point) {
 
 }  // namespace
 
-int64_t NpzArray::count() const {
-  return std::accumulate(shape.begin(), shape.end(), int64_t{1}, std::multiplies<>());
-}
-
 NpzReader::NpzReader(const std::filesystem::path& path)
     : path_(path), file_(path, std::ios::binary) {
   FREETALK_RUNTIME_CHECK(file_, path.string(),
@@ -69,6 +73,8 @@ NpzReader::NpzReader(const std::filesystem::path& path)
 }
 
 std::string NpzReader::bytes_at(uint64_t offset, uint64_t count) {
+  FREETALK_RUNTIME_CHECK(offset <= file_bytes_ && count <= file_bytes_ - offset, path_.string(),
+                         ": is truncated or not a .npz file");
   std::string bytes(count, '\0');
   file_.clear();
   file_.seekg(static_cast<std::streamoff>(offset));
@@ -79,9 +85,9 @@ std::string NpzReader::bytes_at(uint64_t offset, uint64_t count) {
 
 void NpzReader::read_directory() {
   file_.seekg(0, std::ios::end);
-  const auto file_bytes = static_cast<uint64_t>(file_.tellg());
-  const uint64_t tail_bytes = std::min<uint64_t>(file_bytes, 65557 + 20);
-  const std::string tail = bytes_at(file_bytes - tail_bytes, tail_bytes);
+  file_bytes_ = static_cast<uint64_t>(std::max<std::streamoff>(0, file_.tellg()));
+  const uint64_t tail_bytes = std::min<uint64_t>(file_bytes_, 65557 + 20);
+  const std::string tail = bytes_at(file_bytes_ - tail_bytes, tail_bytes);
   const auto end = tail.rfind(std::string("PK\x05\x06", 4));
   FREETALK_RUNTIME_CHECK(end != std::string::npos, path_.string(),
                          ": is truncated or not a .npz file");
@@ -129,15 +135,36 @@ NpzArray NpzReader::read_header(uint64_t entry_offset, uint64_t entry_bytes) {
   array.fortran_order = header_value(header, "fortran_order", ",") == "True";
   const std::string shape = header_value(header, "shape", ")");
   for (size_t at = 0; (at = shape.find_first_of("0123456789", at)) != std::string::npos;) {
-    size_t used = 0;
-    array.shape.push_back(std::stoll(shape.substr(at), &used));
-    at += used;
+    const auto extent = parse_whole(std::string_view(shape).substr(at));
+    FREETALK_RUNTIME_CHECK(extent, path_.string(), ": holds a broken NumPy array");
+    array.shape.push_back(*extent);
+    at = std::min(shape.find_first_not_of("0123456789", at), shape.size());
   }
   array.offset = start + 8 + length_bytes + header_bytes;
-  FREETALK_RUNTIME_CHECK(
-      !array.descr.empty() && array.count() >= 0 && array.offset <= start + entry_bytes,
-      path_.string(), ": holds a broken NumPy array");
+  const uint64_t entry_end = std::min(start + entry_bytes, file_bytes_);
+  FREETALK_RUNTIME_CHECK(array.offset <= entry_end, path_.string(), ": holds a broken NumPy array");
+  measure(array, entry_end - array.offset);
   return array;
+}
+
+/// Sets the number and size of the items. A header may claim anything: it is compared with the
+/// `available` bytes before anyone makes room for it.
+void NpzReader::measure(NpzArray& array, uint64_t available) const {
+  const auto digits = array.descr.find_first_of("0123456789");
+  const auto size = digits == std::string::npos
+                        ? std::nullopt
+                        : parse_whole(std::string_view(array.descr).substr(digits));
+  const bool text = array.descr.find('U') != std::string::npos;  // 4 bytes a character
+  int64_t bytes = 0;
+  bool fits = !__builtin_mul_overflow(size.value_or(0), text ? 4 : 1, &bytes);
+  array.item_bytes = static_cast<uint64_t>(bytes);
+  array.count = 1;
+  for (const int64_t extent : array.shape) {
+    fits = fits && !__builtin_mul_overflow(array.count, extent, &array.count) &&
+           !__builtin_mul_overflow(bytes, extent, &bytes);
+  }
+  FREETALK_RUNTIME_CHECK(fits && static_cast<uint64_t>(bytes) <= available, path_.string(),
+                         ": is truncated, or an array in it claims more than the file holds");
 }
 
 const NpzArray& NpzReader::at(const std::string& name) const {
@@ -156,7 +183,7 @@ std::vector<T> NpzReader::read(const std::string& name) {
   FREETALK_RUNTIME_CHECK(narrow || array.descr == "<f8" || array.descr == "<i8", path_.string(),
                          ": array '", name, "' has type ", array.descr,
                          "; expected float32, float64, int32 or int64");
-  const std::string bytes = bytes_at(array.offset, array.count() * (narrow ? 4 : 8));
+  const std::string bytes = bytes_at(array.offset, array.count * array.item_bytes);
   if (array.descr == "<f4") return converted<float, T>(bytes);
   if (array.descr == "<i4") return converted<int32_t, T>(bytes);
   return array.descr == "<f8" ? converted<double, T>(bytes) : converted<int64_t, T>(bytes);
@@ -173,7 +200,8 @@ void NpzReader::read_raw(const std::string& name, const std::string& descr, void
                          array.descr, "; expected ", descr);
   file_.clear();
   file_.seekg(static_cast<std::streamoff>(array.offset));
-  file_.read(static_cast<char*>(target), array.count() * std::stoll(descr.substr(2)));
+  file_.read(static_cast<char*>(target),
+             static_cast<std::streamsize>(array.count * array.item_bytes));
   FREETALK_RUNTIME_CHECK(file_, path_.string(), ": is truncated");
 }
 
@@ -181,7 +209,7 @@ std::string NpzReader::read_text(const std::string& name) {
   const NpzArray& array = at(name);
   FREETALK_RUNTIME_CHECK(array.descr.starts_with("<U"), path_.string(), ": array '", name,
                          "' has type ", array.descr, "; expected text");
-  const std::string bytes = bytes_at(array.offset, 4 * std::stoull(array.descr.substr(2)));
+  const std::string bytes = bytes_at(array.offset, array.count * array.item_bytes);
   std::string text;
   for (size_t i = 0; i + 4 <= bytes.size(); i += 4) {
     const auto point = static_cast<uint32_t>(number(bytes, i, 4));

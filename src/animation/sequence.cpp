@@ -1,12 +1,15 @@
 #include "sequence.h"
 
-#include <unistd.h>
-
+#include <cerrno>
 #include <cstdio>
+#include <cstring>
+#include <fstream>
 #include <system_error>
 
 #include "freetalk/core/error.h"
+#include "freetalk/core/file.h"
 #include "freetalk/mesh/mesh.h"
+#include "mesh/mesh_file.h"
 
 namespace freetalk::animation {
 namespace {
@@ -19,11 +22,18 @@ std::string frame_name(int64_t index, const std::string& extension) {
   return std::string(digits) + "." + extension;
 }
 
+/// Without the wait for the disk of an atomic write: frames are many, and their folder is renamed.
+void write_frame(const fs::path& path, const std::string& bytes) {
+  std::ofstream stream(path, std::ios::binary);
+  stream.write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
+  stream.close();
+  FREETALK_RUNTIME_CHECK(stream, path.string(), ": writing failed (", std::strerror(errno), ")");
+}
+
 /// A folder that goes with everything in it when the scope ends.
 class TemporaryFolder {
  public:
   explicit TemporaryFolder(fs::path path) : path_(std::move(path)) {
-    fs::remove_all(path_);
     fs::create_directories(path_);
   }
   ~TemporaryFolder() {
@@ -42,17 +52,19 @@ class TemporaryFolder {
 
 SaveReport save_sequence(const fs::path& folder, const std::string& extension,
                          const Animation& animation) {
-  const fs::path target = fs::absolute(folder).lexically_normal();
+  const fs::path target = fs::absolute(folder.empty() ? "." : folder).lexically_normal();
   const fs::path clean = target.has_filename() ? target : target.parent_path();
   try {
     FREETALK_RUNTIME_CHECK(!fs::exists(clean) || fs::is_directory(clean), folder.string(),
                            ": is a file; give a folder for the frames");
-    const std::string hidden = core::join(".", clean.filename().string(), ".", ::getpid());
-    const TemporaryFolder temporary(clean.parent_path() / hidden);
+    // Within a folder that is there: the one around it may be protected.
+    const fs::path around = fs::exists(clean) ? clean : clean.parent_path();
+    const TemporaryFolder temporary(
+        core::unused_neighbour(around / ("." + clean.filename().string())));
     mesh::Mesh frame = animation.mesh;
     for (int64_t t = 0; t < animation.num_frames(); ++t) {
       frame.vertices = animation.vertices_at(t);
-      mesh::save_mesh(temporary.path() / frame_name(t, extension), frame);
+      write_frame(temporary.path() / frame_name(t, extension), mesh::mesh_bytes(frame, extension));
     }
     fs::create_directories(clean);
     for (int64_t t = 0; t < animation.num_frames(); ++t) {

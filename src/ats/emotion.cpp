@@ -5,11 +5,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdlib>
 #include <map>
 #include <optional>
 #include <sstream>
 
+#include "core/number.h"
 #include "freetalk/core/error.h"
 
 namespace freetalk::ats {
@@ -48,9 +48,12 @@ std::vector<std::string> split(const std::string& text, char separator) {
 }
 
 std::optional<double> number(const std::string& text) {
-  char* end = nullptr;
-  const double value = std::strtod(text.c_str(), &end);
-  if (text.empty() || *end != '\0' || !std::isfinite(value)) return std::nullopt;
+  const char* const first = text.data() + text.starts_with('+');
+  double value = 0;
+  const auto [end, error] = core::parse_number(first, text.data() + text.size(), value);
+  if (error != std::errc() || end != text.data() + text.size() || !std::isfinite(value)) {
+    return std::nullopt;
+  }
   return value;
 }
 

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <memory>
 #include <optional>
+#include <ostream>
 #include <string>
 #include <string_view>
 
@@ -173,40 +174,29 @@ class MonoReader {
   int64_t num_read_ = 0;
 };
 
-/// A file in memory for libsndfile to write to.
-struct MemoryFile {
-  std::string bytes;
-  sf_count_t position = 0;
+/// A stream for libsndfile to write to. Nothing may be thrown through its C frames: what fails
+/// shows in the stream's state.
+struct StreamFile {
+  static std::ostream& stream(void* self) { return *static_cast<std::ostream*>(self); }
 
-  static sf_count_t length(void* self) {
-    return static_cast<sf_count_t>(static_cast<MemoryFile*>(self)->bytes.size());
+  static sf_count_t length(void* self) noexcept {
+    const auto position = stream(self).tellp();
+    stream(self).seekp(0, std::ios::end);
+    const auto end = stream(self).tellp();
+    stream(self).seekp(position);
+    return end;
   }
-  static sf_count_t seek(sf_count_t offset, int whence, void* self) {
-    auto* file = static_cast<MemoryFile*>(self);
-    const sf_count_t base = whence == SEEK_SET   ? 0
-                            : whence == SEEK_CUR ? file->position
-                                                 : length(self);
-    file->position = base + offset;
-    return file->position;
+  static sf_count_t seek(sf_count_t offset, int whence, void* self) noexcept {
+    stream(self).seekp(offset, whence == SEEK_SET   ? std::ios::beg
+                               : whence == SEEK_CUR ? std::ios::cur
+                                                    : std::ios::end);
+    return stream(self).tellp();
   }
-  static sf_count_t read(void* target, sf_count_t count, void* self) {
-    auto* file = static_cast<MemoryFile*>(self);
-    const auto got = std::clamp<sf_count_t>(length(self) - file->position, 0, count);
-    std::copy_n(file->bytes.data() + file->position, got, static_cast<char*>(target));
-    file->position += got;
-    return got;
+  static sf_count_t read(void*, sf_count_t, void*) noexcept { return 0; }  // only written to
+  static sf_count_t write(const void* source, sf_count_t count, void* self) noexcept {
+    return stream(self).write(static_cast<const char*>(source), count) ? count : 0;
   }
-  static sf_count_t write(const void* source, sf_count_t count, void* self) {
-    auto* file = static_cast<MemoryFile*>(self);
-    const auto end = static_cast<size_t>(file->position + count);
-    if (file->bytes.size() < end) {
-      file->bytes.resize(end);
-    }
-    std::copy_n(static_cast<const char*>(source), count, file->bytes.data() + file->position);
-    file->position += count;
-    return count;
-  }
-  static sf_count_t tell(void* self) { return static_cast<MemoryFile*>(self)->position; }
+  static sf_count_t tell(void* self) noexcept { return stream(self).tellp(); }
 };
 
 }  // namespace
@@ -256,17 +246,16 @@ void save_wav(const std::filesystem::path& path, const Audio& audio, int bits_pe
   info.format = SF_FORMAT_WAV | (bits_per_sample == 16   ? SF_FORMAT_PCM_16
                                  : bits_per_sample == 24 ? SF_FORMAT_PCM_24
                                                          : SF_FORMAT_FLOAT);
-  SF_VIRTUAL_IO io{MemoryFile::length, MemoryFile::seek, MemoryFile::read, MemoryFile::write,
-                   MemoryFile::tell};
-  MemoryFile memory;
-  File file(sf_open_virtual(&io, SFM_WRITE, &info, &memory));
-  FREETALK_RUNTIME_CHECK(file != nullptr, path.string(), ": ", sf_strerror(nullptr));
-  sf_command(file.get(), SFC_SET_CLIPPING, nullptr, SF_TRUE);
-  const auto count = static_cast<sf_count_t>(audio.samples.size());
-  const auto written = sf_writef_float(file.get(), audio.samples.data(), count);
-  FREETALK_RUNTIME_CHECK(written == count, path.string(), ": ", sf_strerror(file.get()));
-  file.reset();  // completes the header
-  core::write_file_atomic(path, memory.bytes);
+  SF_VIRTUAL_IO io{StreamFile::length, StreamFile::seek, StreamFile::read, StreamFile::write,
+                   StreamFile::tell};
+  core::write_file_atomic(path, [&](std::ostream& stream) {
+    File file(sf_open_virtual(&io, SFM_WRITE, &info, &stream));
+    FREETALK_RUNTIME_CHECK(file != nullptr, path.string(), ": ", sf_strerror(nullptr));
+    sf_command(file.get(), SFC_SET_CLIPPING, nullptr, SF_TRUE);
+    const auto count = static_cast<sf_count_t>(audio.samples.size());
+    const auto written = sf_writef_float(file.get(), audio.samples.data(), count);
+    FREETALK_RUNTIME_CHECK(written == count, path.string(), ": ", sf_strerror(file.get()));
+  });  // the end of `file` completes the header
 }
 
 }  // namespace freetalk::audio

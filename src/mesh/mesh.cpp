@@ -1,7 +1,6 @@
 #include "freetalk/mesh/mesh.h"
 
 #include <algorithm>
-#include <cctype>
 #include <cmath>
 #include <iterator>
 #include <limits>
@@ -15,13 +14,6 @@ namespace freetalk::mesh {
 namespace {
 
 using Reader = RawMesh (*)(const std::filesystem::path&, const std::string&);
-
-std::string lower_extension(const std::filesystem::path& path) {
-  std::string extension = path.extension().string();
-  std::transform(extension.begin(), extension.end(), extension.begin(),
-                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-  return extension.empty() ? extension : extension.substr(1);
-}
 
 template <int Columns>
 Eigen::MatrixXd to_matrix(const std::vector<Eigen::Matrix<double, Columns, 1>>& rows) {
@@ -134,7 +126,7 @@ Mesh load_mesh(const std::filesystem::path& path) {
                          " does not exist; check the path");
   FREETALK_RUNTIME_CHECK(std::filesystem::is_regular_file(path, error), "mesh file ", file,
                          " is not a file; give the path of an OBJ, PLY, OFF, STL or glTF file");
-  const std::string extension = lower_extension(path);
+  const std::string extension = core::lower_extension(path);
   constexpr std::pair<const char*, Reader> kReaders[] = {{"obj", read_obj},   {"ply", read_ply},
                                                          {"off", read_off},   {"stl", read_stl},
                                                          {"gltf", read_gltf}, {"glb", read_gltf}};

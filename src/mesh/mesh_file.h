@@ -1,4 +1,4 @@
-// What the readers of single formats share.
+// What the readers and writers of single formats share.
 #pragma once
 
 #include <Eigen/Core>
@@ -7,6 +7,8 @@
 #include <filesystem>
 #include <string>
 #include <vector>
+
+#include "freetalk/mesh/mesh.h"
 
 namespace freetalk::mesh {
 
@@ -34,5 +36,8 @@ RawMesh read_gltf(const std::filesystem::path& path, const std::string& bytes);
 /// STL, text or binary, of which `bytes` are the content. @throws std::runtime_error naming the
 /// file.
 RawMesh read_stl(const std::filesystem::path& path, const std::string& bytes);
+
+/// The file that save_mesh writes. @param extension "obj" or "ply"
+std::string mesh_bytes(const Mesh& mesh, const std::string& extension);
 
 }  // namespace freetalk::mesh

@@ -1,4 +1,3 @@
-#include <algorithm>
 #include <charconv>
 #include <cstring>
 #include <ostream>
@@ -6,6 +5,7 @@
 #include "freetalk/core/error.h"
 #include "freetalk/core/file.h"
 #include "freetalk/mesh/mesh.h"
+#include "mesh/mesh_file.h"
 
 namespace freetalk::mesh {
 namespace {
@@ -106,13 +106,15 @@ std::string to_ply(const Mesh& mesh) {
 
 }  // namespace
 
+std::string mesh_bytes(const Mesh& mesh, const std::string& extension) {
+  return extension == "obj" ? to_obj(mesh) : to_ply(mesh);
+}
+
 void save_mesh(const std::filesystem::path& path, const Mesh& mesh) {
-  std::string extension = path.extension().string();
-  std::transform(extension.begin(), extension.end(), extension.begin(),
-                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-  FREETALK_RUNTIME_CHECK(extension == ".obj" || extension == ".ply", "mesh file ", path.string(),
-                         " cannot be written as '", extension, "'; use .obj or .ply");
-  core::write_file_atomic(path, extension == ".obj" ? to_obj(mesh) : to_ply(mesh));
+  const std::string extension = core::lower_extension(path);
+  FREETALK_RUNTIME_CHECK(extension == "obj" || extension == "ply", "mesh file ", path.string(),
+                         " cannot be written as '.", extension, "'; use .obj or .ply");
+  core::write_file_atomic(path, mesh_bytes(mesh, extension));
 }
 
 }  // namespace freetalk::mesh

@@ -1,10 +1,10 @@
 // OBJ text to RawMesh. Not OpenMesh's reader: that one drops a line "v nan 0 0" (which shifts every
 // index after it), rounds to float and keeps no texture coordinate indices.
 #include <charconv>
-#include <cstdlib>
 #include <limits>
 #include <string_view>
 
+#include "core/number.h"
 #include "freetalk/core/error.h"
 #include "mesh/mesh_file.h"
 
@@ -83,9 +83,7 @@ class ObjParser {
     std::string_view token = next_token(line);
     if (!token.empty() && token.front() == '+') token.remove_prefix(1);
     double value = 0.0;
-    const auto [end, error] = std::from_chars(token.data(), token.data() + token.size(), value);
-    if (error == std::errc::result_out_of_range)
-      return std::strtod(std::string(token).c_str(), nullptr);
+    const auto [end, error] = core::parse_number(token.data(), token.data() + token.size(), value);
     FREETALK_RUNTIME_CHECK(error == std::errc() && end == token.data() + token.size(), "mesh file ",
                            path_.string(), " line ", line_number_, ": ", problem,
                            "; export the mesh again as OBJ");

@@ -5,10 +5,10 @@
 #include <algorithm>
 #include <bit>
 #include <charconv>
-#include <cstdlib>
 #include <limits>
 #include <string_view>
 
+#include "core/number.h"
 #include "freetalk/core/error.h"
 #include "mesh/mesh_file.h"
 
@@ -144,14 +144,15 @@ class OffParser {
   T parse_token() {
     const std::string_view word = token();
     T value{};
-    const auto [end, error] = std::from_chars(word.data(), word.data() + word.size(), value);
+    const char* last = word.data() + word.size();
+    std::from_chars_result parsed;
     if constexpr (std::is_floating_point_v<T>) {
-      if (error == std::errc::result_out_of_range) {
-        return std::strtod(std::string(word).c_str(), nullptr);
-      }
+      parsed = core::parse_number(word.data(), last, value);
+    } else {
+      parsed = std::from_chars(word.data(), last, value);
     }
     FREETALK_RUNTIME_CHECK(
-        error == std::errc() && end == word.data() + word.size(), "mesh file ", file_,
+        parsed.ec == std::errc() && parsed.ptr == last, "mesh file ", file_,
         " is damaged or cut short (a number is missing or is none); export it again");
     return value;
   }

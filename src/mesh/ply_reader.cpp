@@ -5,12 +5,13 @@
 #include <algorithm>
 #include <bit>
 #include <charconv>
-#include <cstdlib>
 #include <cstring>
 #include <limits>
+#include <locale>
 #include <sstream>
 #include <string_view>
 
+#include "core/number.h"
 #include "freetalk/core/error.h"
 #include "mesh/mesh_file.h"
 
@@ -81,6 +82,7 @@ class PlyParser {
       const size_t end = bytes_.find('\n', position_);
       if (end == std::string_view::npos) fail(kNotPly);
       std::istringstream words(std::string(bytes_.substr(position_, end - position_)));
+      words.imbue(std::locale::classic());
       position_ = end + 1;
       std::string keyword, name;
       words >> keyword >> name;
@@ -237,12 +239,8 @@ class PlyParser {
     if (position_ >= bytes_.size()) cut_short();
     double value = 0.0;
     const char* end = bytes_.data() + bytes_.size();
-    const auto [next, error] = std::from_chars(bytes_.data() + position_, end, value);
-    if (error == std::errc::result_out_of_range) {  // Too large or too small for a double.
-      const auto size = static_cast<size_t>(next - (bytes_.data() + position_));
-      value = std::strtod(std::string(bytes_.substr(position_, size)).c_str(), nullptr);
-    }
-    if (error == std::errc::invalid_argument) {
+    const auto [next, error] = core::parse_number(bytes_.data() + position_, end, value);
+    if (error != std::errc()) {
       fail("has text where numbers are expected; export it again");
     }
     position_ = static_cast<size_t>(next - bytes_.data());

@@ -5,7 +5,9 @@
 #include <algorithm>
 #include <cmath>
 
+#include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
+#include "freetalk/core/torch_error.h"
 #include "pieces.h"
 
 namespace freetalk::speech {
@@ -102,8 +104,8 @@ void EncodeOptions::check() const {
 
 int64_t num_motion_frames(int64_t num_samples, double fps) {
   check_fps(fps);
-  const double frames = static_cast<double>(num_samples) / static_cast<double>(kSampleRateHz) * fps;
-  return std::max<int64_t>(1, std::llround(frames));
+  return core::num_frames(static_cast<double>(num_samples) / static_cast<double>(kSampleRateHz),
+                          fps);
 }
 
 at::Tensor encode_speech(SpeechEncoder& encoder, const at::Tensor& samples,
@@ -112,30 +114,32 @@ at::Tensor encode_speech(SpeechEncoder& encoder, const at::Tensor& samples,
                          const std::optional<at::Tensor>& layer_weights) {
   FREETALK_CHECK(samples.dim() == 1 && samples.size(0) > 0, "samples have shape ", samples.sizes(),
                  ": expected (S,) with at least one sample");
-  const torch::NoGradGuard no_grad;
-  PieceEncoder pieces(encoder, fps, options, layer_weights);
-  const int64_t num_frames = pieces.num_frames(samples.size(0));
-  if (!options.streamable) {
-    pieces.set_clip(samples);
-  }
-  auto result = at::empty({num_frames, encoder->options().hidden_size}, pieces.result_options());
-  int64_t filled = 0;
-  const auto append = [&](const at::Tensor& frames) {
-    result.narrow(0, filled, frames.size(0)).copy_(frames);
-    filled += frames.size(0);
-  };
-  for (int64_t first = 0; first < samples.size(0); first += pieces.hop()) {
-    const int64_t count = std::min(pieces.hop(), samples.size(0) - first);
-    append(pieces.push(samples.narrow(0, first, count)));
-    if (progress && first + count < samples.size(0)) {
-      progress(static_cast<double>(first + count) / static_cast<double>(samples.size(0)));
+  return core::with_plain_errors("encode_speech", [&] {
+    const torch::NoGradGuard no_grad;
+    PieceEncoder pieces(encoder, fps, options, layer_weights);
+    const int64_t num_frames = pieces.num_frames(samples.size(0));
+    if (!options.streamable) {
+      pieces.set_clip(samples);
     }
-  }
-  append(pieces.finish());
-  if (progress) {
-    progress(1.0);
-  }
-  return result;
+    auto result = at::empty({num_frames, encoder->options().hidden_size}, pieces.result_options());
+    int64_t filled = 0;
+    const auto append = [&](const at::Tensor& frames) {
+      result.narrow(0, filled, frames.size(0)).copy_(frames);
+      filled += frames.size(0);
+    };
+    for (int64_t first = 0; first < samples.size(0); first += pieces.hop()) {
+      const int64_t count = std::min(pieces.hop(), samples.size(0) - first);
+      append(pieces.push(samples.narrow(0, first, count)));
+      if (progress && first + count < samples.size(0)) {
+        progress(static_cast<double>(first + count) / static_cast<double>(samples.size(0)));
+      }
+    }
+    append(pieces.finish());
+    if (progress) {
+      progress(1.0);
+    }
+    return result;
+  });
 }
 
 at::Tensor motion_features(SpeechEncoder& encoder, const at::Tensor& wave,
@@ -145,24 +149,26 @@ at::Tensor motion_features(SpeechEncoder& encoder, const at::Tensor& wave,
   options.check();
   check_fps(fps);
   FREETALK_CHECK(num_frames > 0, "num_frames is ", num_frames, ": it must be positive");
-  const auto layers = [&](const at::Tensor& features, const std::optional<at::Tensor>& valid) {
-    return layer_weights ? mix_states(encoder->encode_states(features, valid), *layer_weights)
-                         : encoder->encode_features(features, valid, options.layer);
-  };
-  const auto features = encoder->extract_features(wave, mask);
-  std::optional<at::Tensor> valid, motion;
-  if (mask) {
-    const auto samples = (*mask != 0).sum(1);
-    valid = encoder->count_frames(samples);
-    motion = (samples * (fps / static_cast<double>(kSampleRateHz)))
-                 .round()
-                 .clamp(1.0, static_cast<double>(num_frames))
-                 .to(at::kLong);
-  }
-  if (options.resample == "conv") {
-    return layers(resample_features(features, num_frames, fps, encoder->timing(), valid), motion);
-  }
-  return resample_features(layers(features, valid), num_frames, fps, encoder->timing(), valid);
+  return core::with_plain_errors("motion_features", [&] {
+    const auto layers = [&](const at::Tensor& features, const std::optional<at::Tensor>& valid) {
+      return layer_weights ? mix_states(encoder->encode_states(features, valid), *layer_weights)
+                           : encoder->encode_features(features, valid, options.layer);
+    };
+    const auto features = encoder->extract_features(wave, mask);
+    std::optional<at::Tensor> valid, motion;
+    if (mask) {
+      const auto samples = (*mask != 0).sum(1);
+      valid = encoder->count_frames(samples);
+      motion = (samples * (fps / static_cast<double>(kSampleRateHz)))
+                   .round()
+                   .clamp(1.0, static_cast<double>(num_frames))
+                   .to(at::kLong);
+    }
+    if (options.resample == "conv") {
+      return layers(resample_features(features, num_frames, fps, encoder->timing(), valid), motion);
+    }
+    return resample_features(layers(features, valid), num_frames, fps, encoder->timing(), valid);
+  });
 }
 
 }  // namespace freetalk::speech

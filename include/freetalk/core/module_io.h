@@ -8,6 +8,7 @@
 
 #include "freetalk/core/options.h"
 #include "freetalk/core/safetensors.h"
+#include "freetalk/core/torch_error.h"
 
 namespace freetalk::core {
 
@@ -19,10 +20,17 @@ TensorMap state_of(const torch::nn::Module& module);
 void load_state(torch::nn::Module& module, const TensorMap& state, const std::string& where);
 
 /// The text of the "options" object in DIR/config.json. @throws std::runtime_error naming the file
-/// when it is missing, broken, or of another `format`.
+/// when it is missing, broken, of another `format` or of a newer version.
 std::string read_model_options(const std::filesystem::path& directory, const std::string& format);
 
-/// Writes DIR/config.json and DIR/model.safetensors.
+/// Writes DIR/model.safetensors and DIR/config.json with `config` (a JSON object: format, options
+/// and what else is to be kept). The weights carry a copy of their configuration, so that a stop
+/// between the two files leaves a folder that reads as the new model.
+/// @throws std::runtime_error naming the file that can't be written.
+void save_model_files(const std::filesystem::path& directory, const std::string& config,
+                      const TensorMap& tensors);
+
+/// Writes a model's folder.
 void save_model(const std::filesystem::path& directory, const std::string& format,
                 const std::string& options_json, const torch::nn::Module& module);
 
@@ -34,7 +42,8 @@ Holder load_model(const std::filesystem::path& directory, const std::string& for
                     (directory / "config.json").string());
   Holder model(options);
   const auto weights = directory / "model.safetensors";
-  load_state(*model, load_safetensors(weights), weights.string());
+  with_plain_errors("load_model",
+                    [&] { load_state(*model, load_safetensors(weights), weights.string()); });
   model->eval();
   return model;
 }

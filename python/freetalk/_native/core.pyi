@@ -5,7 +5,16 @@ import pathlib
 import torch
 import typing
 
-__all__: list[str] = ["default_cache_dir", "load_safetensors", "nearest_name", "save_safetensors"]
+__all__: list[str] = [
+    "NUM_LANDMARKS",
+    "UNITS",
+    "default_cache_dir",
+    "load_safetensors",
+    "nearest_name",
+    "read_model_options",
+    "save_model_files",
+    "save_safetensors",
+]
 
 def default_cache_dir() -> pathlib.Path:
     """
@@ -22,6 +31,20 @@ def nearest_name(name: str, known: collections.abc.Sequence[str]) -> str:
     The known name with the smallest edit distance.
     """
 
+def read_model_options(directory: os.PathLike | str | bytes, format: str) -> str:
+    """
+    The options in config.json of a model's folder, as JSON text.
+    """
+
+def save_model_files(
+    directory: os.PathLike | str | bytes,
+    config: str,
+    tensors: collections.abc.Mapping[str, torch.Tensor],
+) -> None:
+    """
+    Writes model.safetensors and config.json (JSON text), each of which says which save it is of.
+    """
+
 def save_safetensors(
     path: os.PathLike | str | bytes,
     tensors: collections.abc.Mapping[str, torch.Tensor],
@@ -30,3 +53,6 @@ def save_safetensors(
     """
     Writes tensors by name to a safetensors file, atomically.
     """
+
+NUM_LANDMARKS: int = 68
+UNITS: dict  # value = {'m': 1.0, 'cm': 0.01, 'mm': 0.001, 'in': 0.0254}

@@ -149,9 +149,7 @@ def export_model(
         halved[name] = (
             value.half() if value.is_floating_point() and not whole else value.clone()
         ).contiguous()
-    path = str(directory / "model.safetensors")
-    _native.core.save_safetensors(path, halved, {"format": "pt"})
-    write_json(directory / "config.json", config)
+    _native.core.save_model_files(os.fspath(directory), json.dumps(config), halved)
 
 
 def git_commit() -> str:

@@ -70,6 +70,38 @@ TEST(Npz, EveryTruncationIsAnErrorThatNamesTheFile) {
   }
 }
 
+/// The archive with `from` replaced in a header, which keeps its length by dropping padding.
+std::string with_claim(std::string bytes, const std::string& from, const std::string& to) {
+  const size_t at = bytes.find(from), padding = bytes.find('}', at) + 1;
+  bytes.replace(at, from.size(), to);
+  if (to.size() < from.size())
+    return bytes.insert(padding + to.size() - from.size(), from.size() - to.size(), ' ');
+  return bytes.erase(padding + to.size() - from.size(), to.size() - from.size());
+}
+
+TEST(Npz, ClaimsBeyondTheFileAreRefusedBeforeRoomIsMade) {
+  const ScratchFolder folder;
+  seam_animation(2).save(folder / "a.npz");
+  const std::string bytes = core::read_text(folder / "a.npz");
+  const std::string shape = "'shape': (2, 6, 3)", type = "'<U";
+  const size_t digits = bytes.find_first_not_of("0123456789", bytes.find(type) + 3);
+  const std::string text = bytes.substr(bytes.find(type), digits - bytes.find(type));
+  for (const auto& [from, to] : std::vector<std::pair<std::string, std::string>>{
+           {shape, "'shape': (333333333, 6, 3)"},            // 24 GB
+           {shape, "'shape': (4294967297, 4294967296, 3)"},  // more than 2^64 bytes
+           {shape, "'shape': (99999999999999999999999, 6, 3)"},
+           {text, "'<U9999999999"},
+           {text, "'<U99999999999999999999999"}}) {
+    core::write_file_atomic(folder / "claim.npz", with_claim(bytes, from, to));
+    try {
+      load_npz(folder / "claim.npz");
+      FAIL() << to;
+    } catch (const std::runtime_error& error) {
+      EXPECT_NE(std::string(error.what()).find("claim.npz"), std::string::npos) << to;
+    }
+  }
+}
+
 TEST(Npz, MissingFileIsAnError) { EXPECT_THROW(load_npz("/nowhere/a.npz"), std::runtime_error); }
 
 TEST(Sequence, WritesOneMeshPerFrameAndRemovesOlderFrames) {
@@ -92,6 +124,18 @@ TEST(Sequence, FolderWithFormatEqualsPattern) {
   options.format = "ply";
   seam_animation(2).save(folder / "frames", options);
   EXPECT_TRUE(std::filesystem::exists(folder / "frames/frame_00001.ply"));
+}
+
+TEST(Sequence, PatternWithoutAFolderMeansTheCurrentOne) {
+  const ScratchFolder folder;
+  const auto before = std::filesystem::current_path();
+  std::filesystem::create_directory(folder / "here");
+  std::filesystem::current_path(folder / "here");
+  const auto report = seam_animation(2).save("*.ply");
+  std::filesystem::current_path(before);
+  EXPECT_EQ(report.num_files, 2);
+  EXPECT_TRUE(std::filesystem::exists(folder / "here/frame_00001.ply"));
+  EXPECT_EQ(folder.count(), 3);
 }
 
 TEST(Gltf, KeepsVertexOrderAndAppendsSeamCopies) {
@@ -122,6 +166,19 @@ TEST(Gltf, FaceThatNeverMovesHasNoTargets) {
   auto animation = seam_animation(4);
   animation.displacements.zero_();
   EXPECT_EQ(animation.save(folder / "still.glb").num_morph_targets, 0);
+}
+
+TEST(Save, ExtensionsHaveNoCase) {
+  const ScratchFolder folder;
+  const auto animation = seam_animation(2);
+  EXPECT_EQ(animation.save(folder / "FACE.GLB").format, "glb");
+  EXPECT_EQ(core::read_text(folder / "FACE.GLB").substr(0, 4), "glTF");
+  EXPECT_EQ(animation.save(folder / "FACE.NPZ").format, "npz");
+  EXPECT_EQ(folder.count(), 2);  // no stray face.bin
+  EXPECT_EQ(animation.save(folder / "FACE.GLTF").num_files, 2);
+  EXPECT_EQ(load_npz(folder / "FACE.NPZ").num_frames(), 2);
+  EXPECT_EQ(mesh::load_mesh(folder / "FACE.GLB").num_faces(),
+            mesh::load_mesh(folder / "FACE.GLTF").num_faces());
 }
 
 TEST(Save, RefusesWhatItCannotWriteAndLeavesNothing) {

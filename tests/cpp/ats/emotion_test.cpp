@@ -3,6 +3,8 @@
 #include <gtest/gtest.h>
 #include <torch/torch.h>
 
+#include "../decimal_comma.h"
+
 namespace freetalk::ats {
 namespace {
 
@@ -46,6 +48,16 @@ TEST(ParseEmotionKeys, TimesMixturesIntensities) {
   EXPECT_EQ(keys[2].intensity, 1.5);
   EXPECT_EQ(parse_emotion_keys("happy", kEmotions, 2.0).at(0).intensity, 2.0);
   EXPECT_EQ(parse_emotion_keys("happy@3", kEmotions, 2.0).at(0).intensity, 3.0);
+}
+
+TEST(ParseEmotion, ReadsNumbersTheSameUnderADecimalComma) {
+  const std::vector<std::string> names = {"neutral", "happy"};
+  const freetalk::testing::DecimalComma comma;
+  if (!comma.is_set()) GTEST_SKIP() << "no locale with a decimal comma can be had";
+  const auto keys = parse_emotion_keys("0=neutral;1.5=happy:0.5,neutral:0.5@2.5", names, 1.0);
+  EXPECT_EQ(keys.at(1).time_s, 1.5);
+  EXPECT_EQ(keys.at(1).intensity, 2.5);
+  EXPECT_EQ(keys.at(1).emotion[1].item<float>(), 0.5F);
 }
 
 TEST(ParseEmotionKeys, ErrorsQuoteThePartAtFault) {

@@ -2,15 +2,35 @@
 
 #include <gtest/gtest.h>
 
+#include <sys/resource.h>
 #include <unistd.h>
 
 #include <cmath>
+#include <csignal>
+#include <cstdint>
+#include <cstdlib>
 #include <cstring>
 #include <fstream>
 #include <limits>
+#include <new>
 #include <numbers>
 
 #include "freetalk/core/file.h"
+
+namespace {
+
+/// Larger allocations of this thread fail.
+thread_local size_t allocation_limit = SIZE_MAX;
+
+}  // namespace
+
+void* operator new(size_t size) {
+  void* const memory = size <= allocation_limit ? std::malloc(size) : nullptr;
+  if (memory == nullptr) throw std::bad_alloc();
+  return memory;
+}
+void operator delete(void* memory) noexcept { std::free(memory); }
+void operator delete(void* memory, size_t) noexcept { std::free(memory); }
 
 namespace freetalk::audio {
 namespace {
@@ -215,6 +235,33 @@ TEST_F(AudioFile, RefusesHeadersThatLie) {
   EXPECT_FALSE(load_error().empty());
   write(with(good.find("data") + 4, 64000, 4));  // twice the sound there is
   EXPECT_TRUE(mentions(load_error(), "truncated"));
+}
+
+TEST_F(AudioFile, SavingMakesNoCopyOfTheSoundInMemory) {
+  // libsndfile is C: nothing may be thrown through its frames, so its callbacks must not allocate.
+  const Audio audio = sine(300.0, 16000, 400000);
+  allocation_limit = 100000;
+  EXPECT_NO_THROW(save_wav(path_, audio));
+  allocation_limit = SIZE_MAX;
+  EXPECT_EQ(load_audio(path_, 16000).samples.size(), audio.samples.size());
+}
+
+TEST_F(AudioFile, AFullDiskIsAnErrorThatNamesTheFile) {
+  struct rlimit before {};
+  ::getrlimit(RLIMIT_FSIZE, &before);
+  const struct rlimit small { 20000, before.rlim_max };
+  const auto ignored = std::signal(SIGXFSZ, SIG_IGN);
+  ::setrlimit(RLIMIT_FSIZE, &small);
+  std::string message;
+  try {
+    save_wav(path_, sine(300.0, 16000, 400000));
+  } catch (const std::runtime_error& error) {
+    message = error.what();
+  }
+  ::setrlimit(RLIMIT_FSIZE, &before);
+  std::signal(SIGXFSZ, ignored);
+  EXPECT_NE(message.find(path_.filename().string()), std::string::npos) << message;
+  EXPECT_TRUE(std::filesystem::is_empty(dir_));
 }
 
 TEST_F(AudioFile, SaveRefusesNothingAndLeavesNothingBehind) {

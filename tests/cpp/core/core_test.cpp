@@ -1,8 +1,15 @@
 #include <gtest/gtest.h>
+#include <torch/nn/modules/linear.h>
+
+#include <unistd.h>
 
 #include <filesystem>
 #include <fstream>
+#include <limits>
+#include <set>
 
+#include "../decimal_comma.h"
+#include "core/number.h"
 #include "core/scratch.h"
 #include "freetalk/core/error.h"
 #include "freetalk/core/file.h"
@@ -10,6 +17,7 @@
 #include "freetalk/core/options.h"
 #include "freetalk/core/random.h"
 #include "freetalk/core/safetensors.h"
+#include "freetalk/core/torch_error.h"
 
 namespace freetalk::core {
 namespace {
@@ -128,6 +136,89 @@ TEST(File, FailedWriteLeavesTheOldFile) {
                                  }),
                std::runtime_error);
   EXPECT_EQ(read_text(path), "old");
+}
+
+TEST(File, TemporaryNamesDifferBetweenProcessesOfTheSameNumber) {
+  // Containers that share a folder repeat process numbers and counters: only chance tells apart.
+  const auto path = temporary_path("names.txt");
+  std::set<std::filesystem::path> names;
+  for (int i = 0; i < 100; ++i) {
+    names.insert(unused_neighbour(path));
+    EXPECT_EQ(names.rbegin()->parent_path(), path.parent_path());
+  }
+  EXPECT_EQ(names.size(), 100);
+  std::filesystem::path temporary;
+  write_file_atomic(path, [&](std::ostream&) {
+    for (const auto& entry : std::filesystem::directory_iterator(path.parent_path())) {
+      const auto name = entry.path().filename().string();
+      if (name.starts_with("freetalk_core_names.txt.tmp-")) temporary = entry.path();
+    }
+  });
+  EXPECT_FALSE(temporary.empty());
+  EXPECT_EQ(temporary.string().find(join("-", getpid(), "-")), std::string::npos);
+  EXPECT_FALSE(std::filesystem::exists(temporary));
+}
+
+TEST(File, TheExtensionHasNoCase) {
+  EXPECT_EQ(lower_extension("a/FACE.GLB"), "glb");
+  EXPECT_EQ(lower_extension("a.b/face"), "");
+}
+
+TEST(Number, ReadsTheSameInEveryLocaleAndBeyondTheRangeOfADouble) {
+  const freetalk::testing::DecimalComma comma;
+  if (!comma.is_set()) GTEST_SKIP() << "no locale with a decimal comma can be had";
+  const auto parsed = [](const std::string& text) {
+    double value = 0;
+    const auto [end, error] = parse_number(text.data(), text.data() + text.size(), value);
+    EXPECT_EQ(error, std::errc()) << text;
+    EXPECT_EQ(end, text.data() + text.size()) << text;
+    return value;
+  };
+  EXPECT_EQ(parsed("0.75"), 0.75);
+  EXPECT_EQ(parsed("1.5e-400"), 0.0);
+  EXPECT_EQ(parsed("1.5e400"), std::numeric_limits<double>::infinity());
+  EXPECT_EQ(parsed("-1.5e400"), -std::numeric_limits<double>::infinity());
+  const std::string word = "x";
+  double value = 0;
+  EXPECT_EQ(parse_number(word.data(), word.data() + 1, value).ec, std::errc::invalid_argument);
+}
+
+TEST(TorchError, IsARuntimeErrorOfOneSentenceAndOthersPass) {
+  const auto add = [] { return at::ones({2}) + at::ones({3}); };
+  EXPECT_THROW(add(), c10::Error);
+  try {
+    with_plain_errors("adding", add);
+    FAIL();
+  } catch (const std::runtime_error& error) {
+    const std::string message = error.what();
+    EXPECT_TRUE(message.starts_with("adding: The size of tensor a (2)")) << message;
+    EXPECT_EQ(message.find('\n'), std::string::npos) << message;
+  }
+  EXPECT_THROW(with_plain_errors("asking", [] { FREETALK_CHECK(false, "no"); }),
+               std::invalid_argument);
+  EXPECT_EQ(with_plain_errors("counting", [] { return 3; }), 3);
+}
+
+TEST(ModuleIo, SaysWhichVersionItCannotRead) {
+  const auto folder = temporary_path("version");
+  torch::nn::Linear linear(2, 2);
+  save_model(folder, "test-format", "{}", *linear);
+  EXPECT_EQ(read_model_options(folder, "test-format"), "{}");
+  std::string config = read_text(folder / "config.json");
+  config.replace(config.find("\"version\": 1"), 12, "\"version\": 7");
+  write_file_atomic(folder / "config.json", config);
+  EXPECT_NE(error_of([&] { read_model_options(folder, "test-format"); }).find("version 7"),
+            std::string::npos);
+}
+
+TEST(ModuleIo, ASaveThatStoppedBetweenItsFilesReadsAsTheNewModel) {
+  const auto folder = temporary_path("stopped");
+  torch::nn::Linear small(2, 2), large(3, 3);
+  save_model(folder, "test-format", R"({"width":2})", *small);
+  const std::string older = read_text(folder / "config.json");
+  save_model(folder, "test-format", R"({"width":3})", *large);
+  write_file_atomic(folder / "config.json", older);
+  EXPECT_EQ(read_model_options(folder, "test-format"), R"({"width":3})");
 }
 
 /// Memory of this process that lies in pages right now, bytes.

@@ -4,6 +4,8 @@
 
 #include <cstring>
 
+#include "../decimal_comma.h"
+#include "freetalk/core/file.h"
 #include "freetalk/mesh/normals.h"
 #include "shapes.h"
 
@@ -143,6 +145,26 @@ TEST(LoadMesh, NamesFileAndRemedyForBadInput) {
   has(problem("nan.ply", ply + list + "0 0 0\nNaN 0 0\n0 1 0\n3 0 1 2\n"), "not finite");
   has(problem("range.ply", ply + list + "0 0 0\n1 0 0\n0 1 0\n3 0 1 -2\n"), "index outside");
   has(problem("short.ply", ply + list + "0 0 0\n1 0 0\n"), "cut short");
+}
+
+TEST(LoadMesh, NumbersTooSmallForADoubleAreZeroUnderADecimalCommaToo) {
+  const freetalk::testing::DecimalComma comma;
+  if (!comma.is_set()) GTEST_SKIP() << "no locale with a decimal comma can be had";
+  const std::string rows = "1.5e-400 0 0\n1 0 0\n0 1.25 0\n";
+  const std::vector<std::pair<std::string, std::string>> files = {
+      {"small.obj", "v 1.5e-400 0 0\nv 1 0 0\nv 0 1.25 0\nf 1 2 3\n"},
+      {"small.off", "OFF\n3 1 0\n" + rows + "3 0 1 2\n"},
+      {"small.ply",
+       "ply\nformat ascii 1.0\nelement vertex 3\nproperty double x\nproperty double y\n"
+       "property double z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n" +
+           rows + "3 0 1 2\n"}};
+  for (const auto& [name, text] : files) {
+    const auto path = std::filesystem::path(::testing::TempDir()) / name;
+    core::write_file_atomic(path, text);
+    const Mesh mesh = load_mesh(path);
+    EXPECT_EQ(mesh.vertices(0, 0), 0.0) << name;
+    EXPECT_EQ(mesh.vertices(2, 1), 1.25) << name;
+  }
 }
 
 TEST(LoadMesh, FindsNaNInBinaryPly) {

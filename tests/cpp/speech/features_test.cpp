@@ -109,6 +109,12 @@ TEST(EncodeSpeech, GivesOneFeaturePerMotionFrame) {
   EXPECT_EQ(num_motion_frames(1, 30.0), 1);
 }
 
+TEST(EncodeSpeech, FailuresOfLibTorchAreRuntimeErrors) {
+  SpeechEncoder encoder(local_options());
+  const auto nowhere = at::zeros({16000}, at::TensorOptions().device(at::kMeta));
+  EXPECT_THROW(encode_speech(encoder, nowhere, 30.0), std::runtime_error);
+}
+
 TEST(EncodeSpeech, WindowsEqualTheWholeWhenContextSuffices) {
   SpeechEncoder encoder(local_options());
   EncodeOptions whole;
