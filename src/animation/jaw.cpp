@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
 
 namespace freetalk::animation {
@@ -86,11 +87,11 @@ RigidMotion motion_of(const Pose& pose) {
 
 std::vector<RigidMotion> fit_jaw(const Eigen::MatrixXd& rest_landmarks,
                                  const at::Tensor& displacements) {
-  FREETALK_CHECK(rest_landmarks.rows() == 68 && rest_landmarks.cols() == 3,
+  FREETALK_CHECK(rest_landmarks.rows() == core::kNumLandmarks && rest_landmarks.cols() == 3,
                  "fit_jaw: rest landmarks must be (68, 3)");
-  FREETALK_CHECK(
-      displacements.dim() == 3 && displacements.size(1) == 68 && displacements.size(2) == 3,
-      "fit_jaw: displacements must be (T, 68, 3), found ", displacements.sizes());
+  FREETALK_CHECK(displacements.dim() == 3 && displacements.size(1) == core::kNumLandmarks &&
+                     displacements.size(2) == 3,
+                 "fit_jaw: displacements must be (T, 68, 3), found ", displacements.sizes());
   const auto chin =
       displacements.slice(1, kFirst, kFirst + kCount).to(at::kCPU, at::kDouble).contiguous();
   std::vector<RigidMotion> motions;

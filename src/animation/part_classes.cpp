@@ -12,6 +12,7 @@
 #include "freetalk/geometry/surface.h"
 #include "freetalk/mesh/components.h"
 #include "freetalk/mesh/normals.h"
+#include "freetalk/mesh/weld.h"
 
 namespace freetalk::animation {
 namespace {
@@ -166,25 +167,9 @@ std::vector<bool> landmark_hosts(const MatrixXd& vertices, const Welded& welded,
 }  // namespace
 
 Welded weld_seams(const MatrixXd& vertices, const Eigen::MatrixXi& faces) {
-  std::map<std::pair<int, int>, int> edges;
-  for (int64_t f = 0; f < faces.rows(); ++f) {
-    for (int k = 0; k < 3; ++k) {
-      ++edges[std::minmax(faces(f, k), faces(f, (k + 1) % 3))];
-    }
-  }
-  std::vector<bool> border(vertices.rows(), false);
-  for (const auto& [edge, count] : edges) {
-    if (count == 1) border[edge.first] = border[edge.second] = true;
-  }
-  const auto same = mesh::coincident_vertices(vertices);
-  const MatrixXd normals = mesh::vertex_normals(vertices, faces);
   Welded welded;
-  welded.representative.resize(vertices.rows());
-  for (int64_t v = 0; v < vertices.rows(); ++v) {
-    const int first = same[v];
-    const bool joined = border[v] && border[first] && normals.row(v).dot(normals.row(first)) > 0.5;
-    welded.representative[v] = joined ? first : static_cast<int>(v);
-  }
+  const auto same = mesh::first_of_same(vertices, faces, {.min_cosine = 0.5, .on_borders = true});
+  welded.representative.assign(same.begin(), same.end());
   welded.faces = faces.unaryExpr([&](int v) { return welded.representative[v]; });
   const auto labels = mesh::connected_components(vertices.rows(), welded.faces);
   std::map<int, int> order;

@@ -9,8 +9,10 @@
 
 namespace freetalk::animation {
 
-/// Vertices with those doubled along texture seams joined. Doubles count as one if they lie on open
-/// borders and their normals agree: closed lips touch too, but face each other.
+/// Vertices with those doubled along texture seams joined. Stricter than what the operators weld
+/// (mesh/weld.h): doubles count as one if they lie on open borders and their normals are within 60
+/// degrees. Lips that touch may be no further apart, and joined they would not open; a seam left
+/// open costs a component, no more.
 struct Welded {
   std::vector<int> representative;  // (V,) first vertex at the same place
   Eigen::MatrixXi faces;            // (F, 3) over representatives

@@ -6,15 +6,15 @@
 
 #include "core/parallel.h"
 #include "freetalk/animation/jaw.h"
+#include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
+#include "mesh/kd_tree.h"
 #include "part_classes.h"
-#include "point_grid.h"
 
 namespace freetalk::animation {
 namespace {
 
 constexpr int kNeighbours = 4;
-constexpr double kCell = 0.008;                           // m
 constexpr double kRootDistance = 0.004;                   // a root lies this close to the skin
 constexpr double kFarFromSkin = 0.06, kNearSkin = 0.015;  // m, between them following fades out
 constexpr double kFarFromRoot = 0.10, kNearRoot = 0.03;
@@ -28,7 +28,7 @@ double fade(double distance, double near, double far) {
 }
 
 /// Inverse squared distance weights over the nearest skin vertices.
-Weights follow_skin(const std::vector<Neighbour>& skin) {
+Weights follow_skin(const std::vector<mesh::Neighbour>& skin) {
   Weights weights;
   if (skin.empty()) return weights;
   double sum = 0;
@@ -45,7 +45,7 @@ Weights follow_skin(const std::vector<Neighbour>& skin) {
 /// Binds the vertices of one part: those near the skin to it, the others to the part's own nearest
 /// root.
 void bind_part(const Eigen::MatrixXd& vertices, const std::vector<int>& members,
-               const PointGrid& skin, std::vector<Weights>& rows) {
+               const mesh::KdTree& skin, std::vector<Weights>& rows) {
   std::vector<int> roots, others;
   for (const int v : members) {
     const auto near = skin.nearest(vertices.row(v), kNeighbours, kFarFromSkin);
@@ -53,11 +53,11 @@ void bind_part(const Eigen::MatrixXd& vertices, const std::vector<int>& members,
     (!near.empty() && near.front().distance < kRootDistance ? roots : others).push_back(v);
   }
   if (roots.empty()) return;
-  Eigen::MatrixXd points(roots.size(), 3);
-  for (size_t i = 0; i < roots.size(); ++i) points.row(i) = vertices.row(roots[i]);
-  const PointGrid grid(points, kCell);
+  Eigen::Matrix3Xd points(3, roots.size());
+  for (size_t i = 0; i < roots.size(); ++i) points.col(i) = vertices.row(roots[i]);
+  const mesh::KdTree tree(points);
   for (const int v : others) {
-    const auto root = grid.nearest(vertices.row(v), 1, kFarFromRoot);
+    const auto root = tree.nearest(vertices.row(v), 1, kFarFromRoot);
     rows[v].clear();
     if (root.empty()) continue;
     rows[v] = rows[roots[root.front().index]];
@@ -86,7 +86,7 @@ Binding pack(const std::vector<Weights>& rows) {
 Parts::Parts(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
              const Eigen::MatrixXd& landmarks)
     : vertices_(vertices), landmarks_(landmarks) {
-  FREETALK_CHECK(landmarks.rows() == 68 && landmarks.cols() == 3,
+  FREETALK_CHECK(landmarks.rows() == core::kNumLandmarks && landmarks.cols() == 3,
                  "Parts: landmarks must be (68, 3), found (", landmarks.rows(), ", ",
                  landmarks.cols(), ")");
   const Welded welded = weld_seams(vertices, faces);
@@ -125,7 +125,7 @@ Parts::Parts(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
   for (int64_t v = 0; v < vertices.rows(); ++v) {
     if (compact[v] >= 0) rows[v] = {{compact[v], 1.0}};
   }
-  const PointGrid skin(face_vertices_, kCell);
+  const mesh::KdTree skin(face_vertices_.transpose());
   for (int c = 0; c < welded.num_components; ++c) {
     if (motions[c] == PartMotion::kSurface) bind_part(vertices, members[c], skin, rows);
   }

@@ -10,10 +10,6 @@
 
 namespace freetalk::animation {
 
-int64_t num_frames(double duration_s, double fps) {
-  return std::max<int64_t>(1, std::llround(duration_s * fps));
-}
-
 at::Tensor resample_motion(const at::Tensor& motion, double from_fps, double to_fps,
                            int64_t num_frames) {
   FREETALK_CHECK(motion.dim() >= 1 && motion.size(0) >= 1 && motion.is_floating_point(),

@@ -8,6 +8,7 @@
 #include <cstdio>
 #include <vector>
 
+#include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
 #include "freetalk/geometry/surface.h"
 #include "freetalk/mesh/components.h"
@@ -18,11 +19,8 @@
 namespace freetalk::geometry {
 namespace {
 
-struct Unit {
-  const char* name;
-  double metres;
-};
-constexpr std::array<Unit, 4> kUnits{{{"m", 1.0}, {"cm", 0.01}, {"mm", 0.001}, {"in", 0.0254}}};
+using core::kUnits;
+using core::Unit;
 constexpr std::array<const char*, 6> kAxes{"+x", "-x", "+y", "-y", "+z", "-z"};
 
 Eigen::Vector3d axis_vector(const std::string& axis) {

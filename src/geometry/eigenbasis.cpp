@@ -6,12 +6,12 @@
 #include <cmath>
 #include <limits>
 #include <numbers>
-#include <numeric>
 #include <vector>
 
 #include "block_lanczos.h"
 #include "eigen_problem.h"
 #include "freetalk/core/error.h"
+#include "mesh/union_find.h"
 
 namespace freetalk::geometry {
 namespace {
@@ -24,27 +24,13 @@ struct Part {
 
 /// (V,) part of each vertex, numbered in order of first vertex: parts share no weight of L.
 std::vector<int> part_labels(const SparseMatrix& laplacian) {
-  std::vector<int> parent(static_cast<size_t>(laplacian.rows()));
-  std::iota(parent.begin(), parent.end(), 0);
-  const auto root = [&parent](int v) {
-    while (parent[v] != v) v = parent[v] = parent[parent[v]];
-    return v;
-  };
+  mesh::UnionFind parts(static_cast<size_t>(laplacian.rows()));
   for (int column = 0; column < laplacian.outerSize(); ++column) {
     for (SparseMatrix::InnerIterator it(laplacian, column); it; ++it) {
-      if (it.value() == 0.0) continue;
-      const int a = root(static_cast<int>(it.row()));
-      const int b = root(column);
-      parent[std::max(a, b)] = std::min(a, b);
+      if (it.value() != 0.0) parts.join(static_cast<int>(it.row()), column);
     }
   }
-  std::vector<int> labels(parent.size());
-  int count = 0;
-  for (size_t v = 0; v < parent.size(); ++v) {
-    const auto r = static_cast<size_t>(root(static_cast<int>(v)));  // r <= v: its label is set.
-    labels[v] = r == v ? count++ : labels[r];
-  }
-  return labels;
+  return parts.labels();
 }
 
 std::vector<Part> split(const SparseMatrix& laplacian, const Eigen::VectorXd& mass) {

@@ -13,7 +13,7 @@
 #include "core/parallel.h"
 #include "freetalk/core/error.h"
 #include "freetalk/geometry/robust_laplacian.h"
-#include "mesh/nearest_points.h"
+#include "mesh/kd_tree.h"
 
 namespace freetalk::geometry {
 namespace {

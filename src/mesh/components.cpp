@@ -4,29 +4,17 @@
 #include <numeric>
 #include <vector>
 
+#include "mesh/union_find.h"
+
 namespace freetalk::mesh {
 
 Eigen::VectorXi connected_components(int64_t num_vertices, const Eigen::MatrixXi& faces) {
-  std::vector<int> parent(static_cast<size_t>(num_vertices));
-  std::iota(parent.begin(), parent.end(), 0);
-  const auto root = [&parent](int v) {
-    while (parent[v] != v) v = parent[v] = parent[parent[v]];
-    return v;
-  };
+  UnionFind parts(static_cast<size_t>(num_vertices));
   for (Eigen::Index f = 0; f < faces.rows(); ++f) {
-    for (int c = 1; c < 3; ++c) {
-      const int a = root(faces(f, 0));
-      const int b = root(faces(f, c));
-      parent[std::max(a, b)] = std::min(a, b);
-    }
+    for (int c = 1; c < 3; ++c) parts.join(faces(f, 0), faces(f, c));
   }
-  Eigen::VectorXi labels(num_vertices);
-  int count = 0;
-  for (int v = 0; v < static_cast<int>(num_vertices); ++v) {
-    const int r = root(v);  // r <= v, so its label is set.
-    labels[v] = r == v ? count++ : labels[r];
-  }
-  return labels;
+  const std::vector<int> labels = parts.labels();
+  return Eigen::Map<const Eigen::VectorXi>(labels.data(), num_vertices);
 }
 
 Eigen::VectorXi coincident_vertices(const Eigen::MatrixXd& vertices) {

@@ -4,12 +4,12 @@
 
 #include <algorithm>
 #include <limits>
-#include <numeric>
 #include <tuple>
 
 #include "freetalk/core/error.h"
 #include "freetalk/mesh/components.h"
 #include "freetalk/mesh/normals.h"
+#include "mesh/union_find.h"
 
 namespace freetalk::mesh {
 namespace {
@@ -22,19 +22,6 @@ struct Side {
   bool forward;  // from low to high
 
   bool same_edge(const Side& other) const { return low == other.low && high == other.high; }
-};
-
-class Groups {
- public:
-  explicit Groups(size_t count) : parent_(count) { std::iota(parent_.begin(), parent_.end(), 0); }
-  int root(int i) {
-    while (parent_[i] != i) i = parent_[i] = parent_[parent_[i]];
-    return i;
-  }
-  void join(int a, int b) { parent_[std::max(root(a), root(b))] = std::min(root(a), root(b)); }
-
- private:
-  std::vector<int> parent_;
 };
 
 /// The sides of all polygons, those of an edge together; and the vertex of each corner.
@@ -60,8 +47,8 @@ std::vector<Side> sorted_sides(const Mesh& mesh, std::vector<int>& corner_vertex
 void count_edges(const Mesh& mesh, MeshReport& report) {
   std::vector<int> corner_vertex;
   const std::vector<Side> sides = sorted_sides(mesh, corner_vertex);
-  Groups fans(corner_vertex.size());
-  Groups rims(static_cast<size_t>(mesh.num_vertices()));
+  UnionFind fans(corner_vertex.size());
+  UnionFind rims(static_cast<size_t>(mesh.num_vertices()));
   std::vector<int> rim_vertices;
   const auto corner_at = [](const Side& side, bool low) {
     return side.forward == low ? side.corner : side.next_corner;

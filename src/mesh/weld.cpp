@@ -1,8 +1,7 @@
 #include "freetalk/mesh/weld.h"
 
 #include <algorithm>
-#include <limits>
-#include <numeric>
+#include <utility>
 #include <vector>
 
 #include "freetalk/core/error.h"
@@ -12,9 +11,6 @@
 
 namespace freetalk::mesh {
 namespace {
-
-/// Cosine between the normals of coincident vertices above which they are one.
-constexpr double kSameSide = -0.5;
 
 std::vector<char> referenced_vertices(Eigen::Index count, const Eigen::MatrixXi& faces) {
   std::vector<char> referenced(static_cast<size_t>(count), 0);
@@ -26,22 +22,22 @@ std::vector<char> referenced_vertices(Eigen::Index count, const Eigen::MatrixXi&
 
 /// Renumbers representatives (V,) to 0 .. W - 1 and carries vertices and faces over.
 WeldedSurface collapse(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
-                       const std::vector<int>& representative) {
+                       const Eigen::VectorXi& representative) {
   WeldedSurface result;
-  std::vector<int> number(representative.size(), -1);
+  std::vector<int> number(static_cast<size_t>(representative.size()), -1);
   std::vector<int> kept;
-  for (size_t v = 0; v < representative.size(); ++v) {
-    if (representative[v] != static_cast<int>(v)) continue;
+  for (int v = 0; v < static_cast<int>(representative.size()); ++v) {
+    if (representative[v] != v) continue;
     number[v] = static_cast<int>(kept.size());
-    kept.push_back(static_cast<int>(v));
+    kept.push_back(v);
   }
   result.vertices.resize(static_cast<Eigen::Index>(kept.size()), 3);
   for (size_t w = 0; w < kept.size(); ++w) {
     result.vertices.row(static_cast<Eigen::Index>(w)) = vertices.row(kept[w]);
   }
   result.vertex_of.resize(vertices.rows());
-  for (size_t v = 0; v < representative.size(); ++v) {
-    result.vertex_of[static_cast<Eigen::Index>(v)] = number[representative[v]];
+  for (Eigen::Index v = 0; v < representative.size(); ++v) {
+    result.vertex_of[v] = number[representative[v]];
   }
   Eigen::Index used = 0;
   result.faces.resize(faces.rows(), 3);
@@ -58,27 +54,20 @@ WeldedSurface collapse(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& f
   return result;
 }
 
-/// The first vertex on the same spot and side of the surface, for each vertex.
-std::vector<int> same_spot(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces) {
-  const Eigen::VectorXi first = coincident_vertices(vertices);
-  const Eigen::MatrixXd normals = vertex_normals(vertices, faces);
-  const std::vector<char> referenced = referenced_vertices(vertices.rows(), faces);
-  std::vector<int> representative(static_cast<size_t>(vertices.rows()));
-  std::iota(representative.begin(), representative.end(), 0);
-  std::vector<std::vector<int>> sides(representative.size());  // Of a spot, at its first vertex.
-  for (int v = 0; v < static_cast<int>(vertices.rows()); ++v) {
-    if (!referenced[v]) continue;
-    std::vector<int>& known = sides[first[v]];
-    const auto side = std::find_if(known.begin(), known.end(), [&](int other) {
-      return normals.row(v).dot(normals.row(other)) > kSameSide;
-    });
-    if (side == known.end()) {
-      known.push_back(v);
-    } else {
-      representative[v] = *side;
-    }
+/// The vertices of edges that one triangle alone has.
+std::vector<char> border_vertices(Eigen::Index count, const Eigen::MatrixXi& faces) {
+  std::vector<std::pair<int, int>> edges;
+  edges.reserve(static_cast<size_t>(3 * faces.rows()));
+  for (Eigen::Index f = 0; f < faces.rows(); ++f) {
+    for (int c = 0; c < 3; ++c) edges.push_back(std::minmax({faces(f, c), faces(f, (c + 1) % 3)}));
   }
-  return representative;
+  std::sort(edges.begin(), edges.end());
+  std::vector<char> border(static_cast<size_t>(count), 0);
+  for (size_t begin = 0, end = 0; begin < edges.size(); begin = end) {
+    while (end < edges.size() && edges[end] == edges[begin]) ++end;
+    if (end - begin == 1) border[edges[begin].first] = border[edges[begin].second] = 1;
+  }
+  return border;
 }
 
 double mean_edge(const WeldedSurface& surface, const std::vector<char>& kept) {
@@ -119,19 +108,16 @@ WeldedSurface lay_onto(const WeldedSurface& surface, const std::vector<char>& ke
   for (size_t i = 0; i < ground.size(); ++i) {
     points.col(static_cast<Eigen::Index>(i)) = surface.vertices.row(ground[i]).transpose();
   }
-  const Eigen::Matrix3Xd no_normals = Eigen::Matrix3Xd::Zero(3, points.cols());
-  const KdTree tree(points, no_normals);
+  const KdTree tree(points);
   const double reach = 0.5 * mean_edge(surface, kept);
-  std::vector<int> representative(static_cast<size_t>(count));
-  std::iota(representative.begin(), representative.end(), 0);
+  Eigen::VectorXi representative =
+      Eigen::VectorXi::LinSpaced(count, 0, static_cast<int>(count) - 1);
   std::vector<char> near(static_cast<size_t>(count), 1);
   for (Eigen::Index w = 0; w < count; ++w) {
     if (kept[w]) continue;
-    const Eigen::Vector3d point = surface.vertices.row(w).transpose();
-    const int found = tree.nearest(point, Eigen::Vector3d::Zero(),
-                                   std::numeric_limits<double>::infinity(), -2.0, 0.0);
-    representative[w] = ground[found];
-    near[w] = (surface.vertices.row(ground[found]) - surface.vertices.row(w)).norm() <= reach;
+    const Neighbour found = tree.nearest(surface.vertices.row(w).transpose(), 1).front();
+    representative[w] = ground[found.index];
+    near[w] = found.distance <= reach;
   }
   Eigen::MatrixXi faces(surface.faces.rows(), 3);
   Eigen::Index used = 0;
@@ -151,6 +137,31 @@ WeldedSurface lay_onto(const WeldedSurface& surface, const std::vector<char>& ke
 
 }  // namespace
 
+Eigen::VectorXi first_of_same(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
+                              const SameVertex& same) {
+  const Eigen::VectorXi first = coincident_vertices(vertices);
+  const Eigen::MatrixXd normals = vertex_normals(vertices, faces);
+  const std::vector<char> asked = same.on_borders ? border_vertices(vertices.rows(), faces)
+                                                  : referenced_vertices(vertices.rows(), faces);
+  const int count = static_cast<int>(vertices.rows());
+  Eigen::VectorXi representative = Eigen::VectorXi::LinSpaced(count, 0, count - 1);
+  std::vector<std::vector<int>> sides(
+      static_cast<size_t>(count));  // Of a spot, at its first vertex.
+  for (int v = 0; v < count; ++v) {
+    if (!asked[v]) continue;
+    std::vector<int>& known = sides[first[v]];
+    const auto side = std::find_if(known.begin(), known.end(), [&](int other) {
+      return normals.row(v).dot(normals.row(other)) > same.min_cosine;
+    });
+    if (side == known.end()) {
+      known.push_back(v);
+    } else {
+      representative[v] = *side;
+    }
+  }
+  return representative;
+}
+
 void check_weld(const std::string& mode) {
   FREETALK_CHECK(mode == "none" || mode == "coincident" || mode == "fragments",
                  "weld must be \"none\", \"coincident\" or \"fragments\", found \"", mode, "\"");
@@ -163,7 +174,7 @@ WeldedSurface weld(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces
     return {vertices, faces,
             Eigen::VectorXi::LinSpaced(vertices.rows(), 0, static_cast<int>(vertices.rows()) - 1)};
   }
-  WeldedSurface welded = collapse(vertices, faces, same_spot(vertices, faces));
+  WeldedSurface welded = collapse(vertices, faces, first_of_same(vertices, faces));
   if (mode == "coincident") return welded;
   const std::vector<char> large = large_components(welded);
   const auto count = std::count(large.begin(), large.end(), char{1});

@@ -5,10 +5,11 @@
 
 #include <cstdint>
 
+#include "freetalk/core/conventions.h"
+
 namespace freetalk::animation {
 
-/// Frames of a clip: max(1, round(duration * fps)).
-int64_t num_frames(double duration_s, double fps);
+using core::num_frames;
 
 /// Catmull-Rom interpolation in time, held beyond the ends. Frame t of either rate is at t / fps;
 /// where times coincide, values are those of the source exactly.

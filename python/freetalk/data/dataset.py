@@ -10,6 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from freetalk import _native
 from freetalk.data.emotions import EMOTIONS
 
 __all__ = [
@@ -26,7 +27,7 @@ __all__ = [
 FloatArray = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
 
-NUM_LANDMARKS = 68
+NUM_LANDMARKS: int = _native.core.NUM_LANDMARKS
 
 
 @dataclass(frozen=True)

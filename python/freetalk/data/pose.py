@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from freetalk import _native
 from freetalk.data.dataset import FloatArray
 from freetalk.data.errors import DatasetError
 
 #: Metres per unit.
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+UNITS: dict[str, float] = _native.core.UNITS
 #: Between the outer corners of the eyes (landmarks 36 and 45): range over adults with a margin, mean.
 _EYES_M, _EYES_MEAN_M = (0.065, 0.115), 0.088
 #: Longest side of the box around a mesh, from a face mask to a head with shoulders.
