@@ -12,6 +12,7 @@ import torch
 from torch import nn
 
 from freetalk import _native
+from freetalk._replaced import Replaced
 
 Self = TypeVar("Self", bound="NativeModule")
 
@@ -21,6 +22,8 @@ class NativeModule(nn.Module):
 
     Parameters and buffers are the native ones (no copies), registered under their dotted names, so optimisers,
     ``state_dict``, ``.to``, autocast, DistributedDataParallel, ``copy.deepcopy`` and pickling work as usual.
+    Tensors that are put in their place (``load_state_dict(assign=True)``, ``functional_call``, parametrizations,
+    assignments) are those that the native module computes with.
 
     Subclasses set ``_impl_type`` (bound Impl class), ``_options_type`` and ``_format`` (of config.json).
     """
@@ -28,7 +31,8 @@ class NativeModule(nn.Module):
     _impl_type: ClassVar[Any]
     _options_type: ClassVar[Any]
     _format: ClassVar[str]
-    _impl: Any
+    _own: Any  # the bound module
+    _slots: list[tuple[str, nn.Module, str, torch.Tensor]]  # name, where it is registered, as what
 
     def __init__(self, options: Any = None, **fields: Any) -> None:
         super().__init__()
@@ -36,30 +40,65 @@ class NativeModule(nn.Module):
             options = self._options_type(**fields)
         elif fields:
             options = self._options_type.from_dict({**options.to_dict(), **fields})
-        object.__setattr__(self, "_impl", self._impl_type(options))
+        self._bind(self._impl_type(options))
+
+    def _bind(self, impl: Any) -> None:
+        """Takes a bound module, once, after ``nn.Module.__init__``."""
+        object.__setattr__(self, "_own", impl)
         self._adopt()
+        self.register_load_state_dict_post_hook(_take_assigned)
+
+    @property
+    def _impl(self) -> Any:
+        """The bound module, computing with the tensors that are registered now."""
+        names, natives, tensors = [], [], []
+        for name, parent, leaf, native in self._slots:
+            if parent._parameters.get(leaf) is native or parent._buffers.get(leaf) is native:
+                continue
+            if parent._forward_pre_hooks:
+                raise RuntimeError(
+                    f"'{name}' is made anew by a hook (torch.nn.utils.prune, weight_norm ...) that a native module "
+                    "never runs: use torch.nn.utils.parametrize or torch.nn.utils.parametrizations"
+                )
+            names.append(name)
+            natives.append(native)
+            tensors.append(getattr(parent, leaf))
+        return Replaced(self._own, names, natives, tensors) if names else self._own
+
+    @property
+    def _plain_impl(self) -> Any:
+        """The bound module for native calls that take it whole.
+
+        Raises:
+            RuntimeError: other tensors stand for some of its own, which those calls would not see.
+        """
+        impl = self._impl
+        if isinstance(impl, Replaced):
+            raise RuntimeError(
+                "this call reads the module's own tensors, but functional_call, a parametrization or an assignment "
+                "put others in their place: load them with load_state_dict, or call "
+                "torch.nn.utils.parametrize.remove_parametrizations"
+            )
+        return impl
 
     @property
     def options(self) -> Any:
         """The options this module was built from."""
-        return self._impl.options
+        return self._own.options
 
     def _adopt(self) -> None:
-        for name, tensor in self._impl.named_parameters():
+        object.__setattr__(self, "_slots", [])
+        for name, tensor in self._own.named_parameters():
             requires_grad = tensor.requires_grad
             tensor.__class__ = nn.Parameter
             tensor.requires_grad_(requires_grad)
             parent, leaf = self._container(name)
             parent.register_parameter(leaf, tensor)
-        self._adopt_buffers()
-
-    def _adopt_buffers(self) -> None:
-        for name, tensor in self._impl.named_buffers():
+            self._slots.append((name, parent, leaf, tensor))
+        for name, tensor in self._own.named_buffers():
             parent, leaf = self._container(name)
-            if leaf in parent._buffers:
-                parent._buffers[leaf] = tensor
-            else:
-                parent.register_buffer(leaf, tensor)
+            parent.register_buffer(leaf, tensor)
+            self._slots.append((name, parent, leaf, tensor))
 
     def _container(self, name: str) -> tuple[nn.Module, str]:
         *path, leaf = name.split(".")
@@ -79,16 +118,23 @@ class NativeModule(nn.Module):
                 "torch.__future__.set_overwrite_module_params_on_conversion off"
             )
         super()._apply(fn, recurse)
-        moved = dict(self.named_buffers())
-        for name, tensor in self._impl.named_buffers():
-            tensor.data = moved[name].data
-        self._adopt_buffers()
+        self._take_registered()
         return self
+
+    def _take_registered(self) -> None:
+        """Gives the native tensors the data of those registered in their place, and registers them again."""
+        for _, parent, leaf, native in self._slots:
+            registers: tuple[dict[str, Any], ...] = (parent._parameters, parent._buffers)
+            for registered in registers:
+                current = registered.get(leaf)
+                if current is not None and current is not native:
+                    native.data = current.data
+                    registered[leaf] = native
 
     def train(self: Self, mode: bool = True) -> Self:
         """Sets training mode, in the native module too."""
         super().train(mode)
-        self._impl.train(mode)
+        self._own.train(mode)
         return self
 
     def forward(self, *args: Any, **kwargs: Any) -> Any:
@@ -100,7 +146,7 @@ class NativeModule(nn.Module):
         memo[id(self)] = clone
         reference = next(self.parameters())
         clone.to(device=reference.device, dtype=reference.dtype)
-        clone.load_state_dict(self.state_dict())
+        clone.load_state_dict(self._own_state())
         for (_, ours), (_, theirs) in zip(
             clone.named_parameters(), self.named_parameters(), strict=True
         ):
@@ -108,8 +154,16 @@ class NativeModule(nn.Module):
         return clone.train(self.training)
 
     def __reduce__(self) -> Any:
+        return _rebuild, (type(self), self.options, self._own_state(), self.training)
+
+    def _own_state(self) -> dict[str, torch.Tensor]:
         state = {name: tensor.detach() for name, tensor in self.state_dict().items()}
-        return _rebuild, (type(self), self.options, state, self.training)
+        if state.keys() != {name for name, *_ in self._slots}:
+            raise RuntimeError(
+                "a module with parametrizations can't be copied, pickled or saved: call "
+                "torch.nn.utils.parametrize.remove_parametrizations first"
+            )
+        return state
 
     def save_pretrained(self, directory: str | os.PathLike[str], **extra: Any) -> None:
         """Writes ``config.json`` (options and ``extra``) and ``model.safetensors`` into a folder.
@@ -118,19 +172,13 @@ class NativeModule(nn.Module):
             directory: folder to write to; made if missing.
             extra: further JSON values for config.json, such as ``training={...}``.
         """
-        path = Path(directory)
-        path.mkdir(parents=True, exist_ok=True)
-        state = {name: tensor.detach() for name, tensor in self.state_dict().items()}
-        _native.core.save_safetensors(str(path / "model.safetensors"), state)
         config = {
             "format": self._format,
             "version": 1,
             "options": self.options.to_dict(),
             **extra,
         }
-        temporary = path / f".config.json.{os.getpid()}"
-        temporary.write_text(json.dumps(config, indent=2) + "\n")
-        temporary.replace(path / "config.json")
+        _native.core.save_model_files(os.fspath(directory), json.dumps(config), self._own_state())
 
     @classmethod
     def from_pretrained(cls: type[Self], directory: str | os.PathLike[str]) -> Self:
@@ -140,29 +188,23 @@ class NativeModule(nn.Module):
             directory: a folder that ``save_pretrained`` or ``freetalk train`` wrote.
 
         Raises:
-            RuntimeError: a file is missing or of another format, or tensors do not fit the options.
+            RuntimeError: a file is missing, of another format or of a newer version, or tensors do not fit the
+                options.
         """
         path = Path(directory)
-        try:
-            config = json.loads((path / "config.json").read_text())
-        except OSError as error:
-            raise RuntimeError(
-                f"{path / 'config.json'}: cannot be read ({error.strerror})"
-            ) from None
-        except json.JSONDecodeError as error:
-            raise RuntimeError(f"{path / 'config.json'}: is not JSON ({error})") from None
-        if config.get("format") != cls._format:
-            raise RuntimeError(
-                f"{path / 'config.json'}: expected format {cls._format}, found {config.get('format')}"
-            )
-        module = cls(cls._options_type.from_dict(config["options"]))
-        state = _native.core.load_safetensors(str(path / "model.safetensors"))
-        module.load_state_dict(state)
+        options = _native.core.read_model_options(str(path), cls._format)
+        module = cls(cls._options_type.from_dict(json.loads(options)))
+        module.load_state_dict(_native.core.load_safetensors(str(path / "model.safetensors")))
         return module.eval()
 
 
 class _Container(nn.Module):
     """Holds tensors of one level of a dotted name."""
+
+
+def _take_assigned(module: nn.Module, _: Any) -> None:
+    assert isinstance(module, NativeModule)
+    module._take_registered()
 
 
 def _rebuild(

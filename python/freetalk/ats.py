@@ -15,8 +15,8 @@ GenerateOptions = _native.ats.GenerateOptions
 parse_emotion = _native.ats.parse_emotion
 window_starts = _native.ats.window_starts
 
-NUM_LANDMARKS = 68
-MOTION_DIM = 204
+NUM_LANDMARKS: int = _native.core.NUM_LANDMARKS
+MOTION_DIM = 3 * NUM_LANDMARKS
 
 Mixture: TypeAlias = "str | Mapping[str, float]"
 """``"happy"``, ``"happy:0.7,surprise:0.3"`` or ``{"happy": 0.7, "surprise": 0.3}``."""
@@ -180,7 +180,8 @@ def generate(
         intensity: real in [1, num_intensities]; (K,) if the emotion is (K, E).
         weight: (T, K) of each emotion in every frame, a frame's sum is one; needed for K > 1.
         options: sampler, steps, guidance, precision, windows.
-        seed: of the noise; the same seed gives the same motion. K seeds give K motions, sampled together.
+        seed: of the noise; the same seed gives the same motion, on the CPU bit for bit. K seeds give K motions,
+            sampled together.
         on_step: called with (steps done, steps in all).
 
     Returns:
@@ -192,7 +193,7 @@ def generate(
     """
     several = isinstance(seed, Sequence)
     motion = _native.ats.generate(
-        model._impl,
+        model._plain_impl,
         features,
         emotion=emotion if emotion.dim() > 1 else emotion[None],
         intensity=torch.as_tensor(intensity, dtype=features.dtype).reshape(-1),

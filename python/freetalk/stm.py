@@ -101,7 +101,7 @@ class Stm(NativeModule):
             ValueError: an unknown precision.
         """
         options = DecodeOptions(precision=precision, memory_bytes=memory_bytes)
-        return FrameDecoder(self._impl, mesh, operators=operators, options=options)
+        return FrameDecoder(self._plain_impl, mesh, operators=operators, options=options)
 
     def frames_per_chunk(self, num_vertices: int, memory_bytes: int) -> int:
         """Frames that ``decode`` takes at once within ``memory_bytes``."""

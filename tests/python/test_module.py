@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import copy
 import gc
+import json
 import pickle
 
 import pytest
 import torch
+import torch.nn.utils.parametrize
+import torch.nn.utils.prune
 from torch import nn
 
 from freetalk.ats import Ats, AtsOptions
@@ -189,3 +192,150 @@ def _conditioning(model: Ats, values: dict) -> torch.Tensor:
     intensity = p["intensity_embedding.weight"][1].expand(2, -1)
     affect = linear("affect_out", silu(linear("affect_in", torch.cat([emotion, intensity], 1))))
     return time + affect
+
+
+class Doubled(nn.Module):
+    """A parametrization: twice the parameter."""
+
+    def forward(self, weight: torch.Tensor) -> torch.Tensor:
+        return 2 * weight
+
+
+def twice(model: Ats, name: str) -> Ats:
+    """A copy whose tensor `name` holds twice the values."""
+    other = copy.deepcopy(model)
+    with torch.no_grad():
+        other.get_parameter(name).mul_(2)
+    return other
+
+
+WEIGHT = "output_proj.weight"
+
+
+def test_assigned_state_is_what_the_native_module_computes_with(model: Ats) -> None:
+    torch.manual_seed(1)
+    other = Ats(**SMALL).eval()
+    parent = nn.ModuleDict({"ats": model})
+    state = {f"ats.{name}": tensor.clone() for name, tensor in other.state_dict().items()}
+    parent.load_state_dict(state, assign=True)
+    assert torch.equal(run(model), run(other))
+    with torch.no_grad():
+        model.get_parameter(WEIGHT).add_(1)
+    assert torch.equal(state[f"ats.{WEIGHT}"], model.get_parameter(WEIGHT))  # no copy was made
+    assert not torch.equal(run(model), run(other))
+
+
+def test_assigned_state_may_have_another_dtype(model: Ats) -> None:
+    before = run(model).double()
+    model.load_state_dict({k: v.double() for k, v in model.state_dict().items()}, assign=True)
+    # float32 rounds at 6e-8 of the value, a few layers deep
+    torch.testing.assert_close(run(model).float(), before.float(), atol=1e-5, rtol=1e-4)
+    assert run(model).dtype == torch.float64
+
+
+def test_functional_call_computes_with_the_given_tensors_and_differentiates_them(
+    model: Ats,
+) -> None:
+    given = {name: p.detach().clone() for name, p in model.named_parameters()}
+    given[WEIGHT] = (2 * given[WEIGHT]).requires_grad_()
+    values = inputs()
+    x = values.pop("x").requires_grad_()
+    timestep = values.pop("timestep")
+    expected = twice(model, WEIGHT)
+    x_grad, weight_grad = torch.autograd.grad(
+        expected(x, timestep, **values).square().sum(), (x, expected.get_parameter(WEIGHT))
+    )
+    before = run(model).detach()
+    out = torch.func.functional_call(model, given, (x, timestep), values)
+    assert torch.equal(out, expected(x, timestep, **values))
+    assert torch.equal(run(model), before)  # the module's own are back, before the backward too
+    out.square().sum().backward()
+    torch.testing.assert_close(given[WEIGHT].grad, weight_grad)
+    torch.testing.assert_close(x.grad, x_grad)
+    assert all(p.grad is None and p.requires_grad for p in model.parameters())
+    assert torch.equal(run(model), before)
+
+
+def test_functional_call_in_double_of_a_single_module_passes_gradcheck(model: Ats) -> None:
+    given = {name: t.detach().double() for name, t in model.state_dict().items()}
+    values = inputs(batch=1, frames=2, dtype=torch.float64)
+
+    def last_bias(bias: torch.Tensor) -> torch.Tensor:
+        call = {k: v for k, v in values.items() if k not in ("x", "timestep")}
+        own = {**given, "output_proj.bias": bias}
+        return torch.func.functional_call(model, own, (values["x"], values["timestep"]), call)[
+            ..., :3
+        ]
+
+    assert torch.autograd.gradcheck(last_bias, given["output_proj.bias"].clone().requires_grad_())
+    assert {p.dtype for p in model.parameters()} == {torch.float32}
+
+
+def test_parametrized_weights_are_used_trained_and_removed(model: Ats) -> None:
+    expected = run(twice(model, WEIGHT)).detach()
+    nn.utils.parametrize.register_parametrization(model.output_proj, "weight", Doubled())
+    assert torch.equal(run(model), expected)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        run(model)  # fills the cache of casts
+        low = run(model)
+    assert low.dtype == torch.bfloat16
+    optimiser = torch.optim.SGD(model.parameters(), lr=1e-3)
+    loss = run(model).square().mean()
+    loss.backward()
+    assert model.output_proj.parametrizations.weight.original.grad.abs().sum() > 0
+    optimiser.step()
+    assert run(model).square().mean() < loss
+    with pytest.raises(RuntimeError, match="remove_parametrizations"):
+        copy.deepcopy(model)
+    trained = run(model).detach()
+    nn.utils.parametrize.remove_parametrizations(model.output_proj, "weight")
+    assert torch.equal(run(model), trained)
+    assert torch.equal(run(copy.deepcopy(model)), trained)
+
+
+def test_what_a_native_module_cannot_follow_is_said_in_one_sentence(model: Ats) -> None:
+    state = dict(model.state_dict())
+    values = inputs()
+    x, timestep = values.pop("x"), values.pop("timestep")
+    with pytest.raises(ValueError, match=r"'output_proj.bias' must be \(204,\)"):
+        torch.func.functional_call(
+            model, {**state, "output_proj.bias": torch.ones(3)}, (x, timestep), values
+        )
+
+    def loss(bias: torch.Tensor) -> torch.Tensor:
+        own = {**state, "output_proj.bias": bias}
+        return torch.func.functional_call(model, own, (x, timestep), values).sum()
+
+    with pytest.raises(RuntimeError, match=r"torch\.autograd\.grad"):
+        torch.func.grad(loss)(state["output_proj.bias"])
+    nn.utils.prune.l1_unstructured(model.output_proj, "weight", amount=0.5)
+    with pytest.raises(RuntimeError, match="parametrize"):
+        run(model)
+
+
+def test_a_save_that_stopped_between_its_files_reads_as_the_new_model(model: Ats, tmp_path) -> None:
+    model.save_pretrained(tmp_path)
+    older = (tmp_path / "config.json").read_text()
+    torch.manual_seed(2)
+    wider = Ats(**{**SMALL, "d_model": 32}).eval()
+    wider.save_pretrained(tmp_path)
+    (tmp_path / "config.json").write_text(older)
+    loaded = Ats.from_pretrained(tmp_path)
+    assert loaded.options.d_model == 32
+    assert torch.equal(run(loaded), run(wider))
+
+
+def test_a_configuration_edited_by_hand_is_the_one_that_is_read(model: Ats, tmp_path) -> None:
+    model.save_pretrained(tmp_path)
+    config = json.loads((tmp_path / "config.json").read_text())
+    config["options"]["dropout"] = 0.25
+    (tmp_path / "config.json").write_text(json.dumps(config))
+    assert Ats.from_pretrained(tmp_path).options.dropout == 0.25
+
+
+def test_weights_of_a_newer_version_are_refused(model: Ats, tmp_path) -> None:
+    model.save_pretrained(tmp_path)
+    config = json.loads((tmp_path / "config.json").read_text())
+    (tmp_path / "config.json").write_text(json.dumps({**config, "version": 2}))
+    with pytest.raises(RuntimeError, match=r"version 2.*update freetalk"):
+        Ats.from_pretrained(tmp_path)

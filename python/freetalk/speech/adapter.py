@@ -95,7 +95,7 @@ class FeatureAdapter(nn.Module):
             (B, T, C); frames after the end of a clip hold nothing of meaning.
         """
         return _native.speech.motion_features(
-            self.encoder._impl,
+            self.encoder._plain_impl,
             wave,
             mask,
             num_frames=num_frames,

@@ -98,7 +98,7 @@ class SpeechEncoder(NativeModule):
             extra: further JSON values for config.json, such as ``training={...}``.
         """
         _native.speech.save_speech_encoder(
-            self._impl, os.fspath(directory), half=half, extra_json=json.dumps(extra)
+            self._plain_impl, os.fspath(directory), half=half, extra_json=json.dumps(extra)
         )
 
     @classmethod
@@ -111,8 +111,5 @@ class SpeechEncoder(NativeModule):
         """
         module = cls.__new__(cls)
         nn.Module.__init__(module)
-        object.__setattr__(
-            module, "_impl", _native.speech.load_speech_encoder(os.fspath(directory))
-        )
-        module._adopt()
+        module._bind(_native.speech.load_speech_encoder(os.fspath(directory)))
         return module.eval()

@@ -88,7 +88,7 @@ def encode_speech(
         (T, C) float32 on the encoder's device, T = ``max(1, round(S / 16000 * fps))``.
     """
     return _native.speech.encode_speech(
-        encoder._impl,
+        encoder._plain_impl,
         _as_wave(samples),
         fps,
         options=options or EncodeOptions(),
@@ -121,7 +121,10 @@ class SpeechStream:
         layer_weights: Tensor | None = None,
     ) -> None:
         self._stream = _native.speech.SpeechStream(
-            encoder._impl, fps, options=options or stream_options(), layer_weights=layer_weights
+            encoder._plain_impl,
+            fps,
+            options=options or stream_options(),
+            layer_weights=layer_weights,
         )
 
     def push(self, samples: Any) -> Tensor:
