@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import threading
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache
@@ -24,8 +24,7 @@ def replacing(path: Path) -> Iterator[Path]:
         path: what is replaced; the temporary file ends as it does.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    own = f"{os.getpid()}.{threading.get_ident()}"
-    temporary = path.with_name(f".{path.stem}.{own}{path.suffix}")
+    temporary = beside(path)
     try:
         yield temporary
         flush(temporary)
@@ -33,6 +32,14 @@ def replacing(path: Path) -> Iterator[Path]:
         flush(path.parent)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def beside(path: Path) -> Path:
+    """A hidden name that nothing has, in the same folder and ending alike.
+
+    Random: the numbers of processes and threads repeat in containers that share a folder.
+    """
+    return path.with_name(f".{path.stem}.{secrets.token_hex(8)}{path.suffix}")
 
 
 def flush(path: Path) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from freetalk._files import beside
 from freetalk.data.dataset import NUM_LANDMARKS, FloatArray
 
 
@@ -48,7 +49,7 @@ class LandmarkCache:
 def _shared(path: Path, shape: tuple[int, ...], dtype: type) -> np.memmap[Any, Any]:
     """An array on disk that is there whole or not at all; zeros take no space until written."""
     if not path.is_file():
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
+        temporary = beside(path)
         np.lib.format.open_memmap(temporary, mode="w+", dtype=dtype, shape=shape).flush()
         try:
             os.link(temporary, path)  # the first process wins; a rename would part the others' view
