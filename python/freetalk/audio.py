@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import tempfile
+from pathlib import Path
 
 from freetalk import _native
+from freetalk._ffmpeg import find_ffmpeg
 from freetalk._native.audio import Audio
+
+#: What phones and cameras record and libsndfile does not know.
+_FFMPEG_SUFFIXES = (".m4a", ".aac", ".mp4", ".mov", ".mkv", ".webm", ".wma", ".3gp")
 
 __all__ = ["Audio", "load_audio", "resample", "save_wav"]
 
@@ -13,8 +20,8 @@ __all__ = ["Audio", "load_audio", "resample", "save_wav"]
 def load_audio(path: str | os.PathLike[str], sample_rate_hz: int = 16000) -> Audio:
     """Reads WAV, FLAC, OGG, AIFF, MP3, ... block by block as mono sound.
 
-    Channels are averaged; the result has ``round(n * sample_rate_hz / file_rate)`` samples, made by
-    libsamplerate's best sinc converter.
+    M4A, AAC and the sound of videos are read through ffmpeg where it is installed. Channels are averaged; the
+    result has ``round(n * sample_rate_hz / file_rate)`` samples, made by libsamplerate's best sinc converter.
 
     Args:
         path: the sound file.
@@ -25,7 +32,28 @@ def load_audio(path: str | os.PathLike[str], sample_rate_hz: int = 16000) -> Aud
             samples that are not finite or claims an absurd rate; the message names it and what to do.
         ValueError: ``sample_rate_hz`` is not between 1 kHz and 768 kHz.
     """
-    return _native.audio.load_audio(os.fspath(path), sample_rate_hz)
+    try:
+        return _native.audio.load_audio(os.fspath(path), sample_rate_hz)
+    except RuntimeError:
+        file, program = Path(path), find_ffmpeg()
+        if program is None or file.suffix.lower() not in _FFMPEG_SUFFIXES or not file.is_file():
+            raise
+        with tempfile.TemporaryDirectory() as folder:
+            decoded = Path(folder) / "sound.wav"
+            source = ["-i", f"file:{file}", "-vn"]
+            command = [
+                program,
+                "-nostdin",
+                "-v",
+                "error",
+                *source,
+                "-c:a",
+                "pcm_f32le",
+                str(decoded),
+            ]
+            if subprocess.run(command, capture_output=True, check=False).returncode != 0:
+                raise  # libsndfile's sentence names the file and what to do
+            return _native.audio.load_audio(str(decoded), sample_rate_hz)
 
 
 def resample(audio: Audio, sample_rate_hz: int) -> Audio:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import soundfile
 
 import freetalk as ft
+from freetalk._ffmpeg import find_ffmpeg
 from freetalk.audio import Audio, load_audio, resample, save_wav
 
 
@@ -142,3 +144,25 @@ def test_damaged_files_load_or_say_why(tmp_path: Path, extension: str) -> None:
         else:
             assert len(audio) > 0
             assert np.isfinite(audio.samples).all()
+
+
+def test_what_phones_record_is_read_through_ffmpeg(tmp_path: Path) -> None:
+    program = find_ffmpeg()
+    if program is None:
+        pytest.skip("no ffmpeg")
+    sound = Audio(np.sin(np.arange(32000) * 0.05).astype(np.float32) * 0.5, 16000)
+    save_wav(tmp_path / "sound.wav", sound)
+    subprocess.run(
+        [program, "-v", "error", "-i", tmp_path / "sound.wav", tmp_path / "SOUND.M4A"], check=True
+    )
+    read = load_audio(tmp_path / "SOUND.M4A")
+    # AAC works in frames of 1,024 samples and pads both ends
+    assert abs(len(read.samples) - len(sound.samples)) <= 3 * 1024
+    assert abs(np.abs(np.asarray(read.samples)[4000:28000]).max() - 0.5) < 0.02  # lossy
+
+
+def test_damaged_recordings_of_phones_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "sound.m4a"
+    path.write_bytes(b"ftyp" * 100)
+    with pytest.raises(RuntimeError, match=r"sound\.m4a"):
+        load_audio(path)

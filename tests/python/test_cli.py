@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from freetalk.cli import main
 from freetalk.cli.app import describe
 from freetalk.cli.outputs import Output, check_writable, parse_output
+from freetalk.cli.parser import make_parser
 
 PYTHON = Path(__file__).resolve().parents[2] / "python"
 FACE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
@@ -250,6 +251,14 @@ def test_same_output_twice_is_refused(capsys: pytest.CaptureFixture[str], folder
     out = str(folder / "out" / "talk.glb")
     message = refused(capsys, folder, "animate", "--audio", "a.wav", "--out", out, "--out", out)
     assert "twice" in message
+
+
+def test_axes_of_either_sign_are_understood_with_and_without_an_equals_sign() -> None:
+    for words in (["--up", "-y", "--forward", "-z"], ["--up=-y", "--forward=-z"]):
+        arguments = make_parser().parse_args(
+            ["animate", "--audio", "a.wav", "--out", "a.glb", *words]
+        )
+        assert (arguments.up, arguments.forward) == ("-y", "-z")
 
 
 # ---- other commands ------------------------------------------------------------------------------

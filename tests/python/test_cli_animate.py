@@ -72,6 +72,27 @@ def test_every_output_is_written_at_once(
         np.testing.assert_array_equal(arrays["faces"], assets.mean_face("narrow")[1])
 
 
+def test_one_output_that_fails_loses_none_of_the_others(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save = ft.Animation.save
+
+    def full_disk(animation: ft.Animation, path: Path) -> object:
+        if Path(path).suffix == ".glb":
+            raise RuntimeError(f"{path}: no space left on device")
+        return save(animation, path)
+
+    monkeypatch.setattr(ft.Animation, "save", full_disk)
+    outputs = ["--out", tmp_path / "a.glb", "--out", tmp_path / "b.npz"]
+    assert animate(room, "--quiet", "--fps", "10", *outputs) == 2
+    printed = capsys.readouterr().err
+    assert "a.glb: no space left" in printed
+    assert (tmp_path / "b.npz").is_file()
+    kept = room / "cache" / "unsaved.npz"
+    assert str(kept) in printed
+    assert kept.read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
 def test_same_seed_same_bytes(room: Path, talk: Path, tmp_path: Path) -> None:
     for seed in ("3", "4"):
         assert animate(room, "--quiet", "--seed", seed, "--out", tmp_path / f"{seed}.npz") == 0

@@ -35,8 +35,7 @@ def run(arguments: argparse.Namespace) -> None:
     talker = freetalk.Talker.from_pretrained(weights)
     report.line("loaded", _describe_inputs(audio, mesh, mesh_file))
     animation = animate(talker, audio, mesh, arguments, report)
-    for output in outputs:
-        write(animation, output, arguments.size, report)
+    write_all(animation, outputs, arguments.size, report)
     report.total()
 
 
@@ -73,6 +72,30 @@ def animate(
     text = f"{animation.num_frames} frames, {animation.duration_s:.2f} s, {arguments.emotion}"
     report.line("animated", f"{text} ({stages})")
     return animation
+
+
+def write_all(
+    animation: freetalk.Animation, outputs: list[Output], size: tuple[int, int], report: Report
+) -> None:
+    """Writes every result that can be written.
+
+    Raises:
+        RuntimeError: one or more could not; the message names them and a file that keeps the motion.
+    """
+    from freetalk.cli.app import describe
+
+    failed: list[str] = []
+    for output in outputs:
+        try:
+            write(animation, output, size, report)
+        except (ValueError, RuntimeError, OSError, ImportError) as error:
+            failed.append(describe(error))
+    if failed:
+        from freetalk import _native
+
+        kept = Path(_native.core.default_cache_dir()) / "unsaved.npz"
+        animation.save(kept)
+        raise RuntimeError(f"{'; '.join(failed)}; the animation is kept in {kept}")
 
 
 def write(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from freetalk.cli.numbers import intensity, natural, positive, seed
@@ -32,9 +34,27 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, **settings: Any) -> None:
         super().__init__(formatter_class=HelpFormatter, **settings)
 
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: Any = None
+    ) -> tuple[Any, list[str]]:
+        """Also takes ``--up -y``, in which argparse sees two options."""
+        return super().parse_known_args(
+            _joined_axes(sys.argv[1:] if args is None else args), namespace
+        )
+
     def error(self, message: str) -> NoReturn:
         """Raises :class:`UsageError` with the command's name and where to find help."""
         raise UsageError(f"{message} (see '{self.prog} --help')")
+
+
+def _joined_axes(args: Sequence[str]) -> list[str]:
+    joined: list[str] = []
+    for argument in args:
+        if argument in AXES and joined and joined[-1] in ("--up", "--forward"):
+            joined[-1] += f"={argument}"
+        else:
+            joined.append(argument)
+    return joined
 
 
 def make_parser() -> Parser:

@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from freetalk._ffmpeg import find_ffmpeg
+from freetalk._files import beside
 from freetalk.viz.renderer import FaceRenderer, Image, View, check_off_screen
 from freetalk.viz.sequence import Sequence, as_sequence
 
@@ -95,7 +97,7 @@ def write_video(
         samples: (S,) float32 in [-1, 1]; may be empty.
         sample_rate_hz: Rate of ``samples``.
     """
-    partial = target.with_name(f".{target.stem}.{os.getpid()}.partial.mp4")
+    partial = beside(target)
     with tempfile.TemporaryDirectory(prefix="freetalk_video_") as folder:
         log = Path(folder) / "ffmpeg.log"
         sound: Path | None = None
@@ -140,13 +142,11 @@ def _ffmpeg_command(
 
 
 def _ffmpeg() -> str:
-    try:
-        import imageio_ffmpeg
-
-        return str(imageio_ffmpeg.get_ffmpeg_exe())
-    except (ImportError, RuntimeError) as error:
+    program = find_ffmpeg()
+    if program is None:
         advice = "pip install imageio-ffmpeg, or apt-get install ffmpeg"
-        raise RuntimeError(f"cannot write a video: no ffmpeg was found; {advice}") from error
+        raise RuntimeError(f"cannot write a video: no ffmpeg was found; {advice}")
+    return program
 
 
 def _encode(command: list[str], frames: Iterable[Image], log: Path) -> None:
