@@ -55,4 +55,4 @@ def save_safetensors(
     """
 
 NUM_LANDMARKS: int = 68
-UNITS: dict  # value = {'m': 1.0, 'cm': 0.01, 'mm': 0.001, 'in': 0.0254}
+UNITS: dict = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
