@@ -2,10 +2,11 @@
 
     python scripts/bench/surface.py
     python scripts/bench/surface.py --sizes 5000 50000 --repeats 5
+    python scripts/bench/surface.py --sizes 1000000 --repeats 1     # a minute, 8 GB
 
 Both sides are asked for the k smallest eigenpairs of the same Laplacian of the same mesh (the face that ships with
 the package, subdivided and decimated to about the size wanted). They take turns within one run, medians are printed
-with their ratio. Above --peer-limit vertices the peer is left out: it takes minutes there. Memory is the peak of a
+with their ratio. The eigenbasis alone is then timed on one thread and on --threads in turns. Above --peer-limit vertices the peer is left out: it takes minutes there. Memory is the peak of a
 process of its own that computes the operators once. Needs the package's `test` extra.
 """
 
@@ -130,6 +131,18 @@ def bench(size: int, k: int, repeats: int, peer_limit: int) -> None:
     for name, (seconds, residual) in results.items():
         ratio = f"{seconds / reference[0]:8.2f} x" if reference else " " * 10
         print(f"  {name:26s} {seconds:8.3f} s {ratio}   residual {residual:.1e}", flush=True)
+    threads = torch.get_num_threads()
+    if threads > 1:
+        laplacian, mass = geometry.robust_laplacian(vertices, faces)
+
+        def on(count: int) -> float:
+            torch.set_num_threads(count)
+            return float(geometry.eigenbasis(laplacian, mass, k, progress=False).residuals.max())
+
+        scaling = in_turns({"one": lambda: on(1), "all": lambda: on(threads)}, repeats)
+        one, every = scaling["one"][0], scaling["all"][0]
+        label = f"eigenbasis, 1 -> {threads} threads"
+        print(f"  {label:26s} {one:8.3f} -> {every:.3f} s, {one / every:.2f} x", flush=True)
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         seconds, gigabytes = pool.apply(compute_once, (vertices, faces, k))
     print(f"  {'all operators, once':26s} {seconds:8.3f} s              peak {gigabytes:.2f} GB")

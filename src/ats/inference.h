@@ -48,7 +48,7 @@ class AtsInference {
   int64_t num_frames_;
   at::ScalarType dtype_;
   std::unordered_map<int64_t, at::Tensor> time_codes_;  // (d,) of each timestep
-  kernels::PackedLinear input_, output_;
+  kernels::FixedLinear input_, output_;
   std::vector<nn::DecoderLayerInference> layers_;
   nn::BandAttention band_;
 };

@@ -97,7 +97,7 @@ DecoderLayerInference::DecoderLayerInference(const TransformerDecoderLayerImpl& 
       norm3_(copy(layer.norm3_, dtype)) {
   const int64_t d = layer.options_.d_model;
   const auto pack = [&](const at::Tensor& weight, const at::Tensor& bias) {
-    return kernels::PackedLinear(weight, bias, dtype, rows);
+    return kernels::FixedLinear(weight, bias, dtype, rows);
   };
   const auto& self = layer.self_attn_;
   const auto& cross = layer.multihead_attn_;

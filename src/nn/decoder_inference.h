@@ -11,7 +11,7 @@
 #include <vector>
 
 #include "freetalk/nn/transformer.h"
-#include "kernels/packed_linear.h"
+#include "kernels/onednn.h"
 
 namespace freetalk::nn {
 
@@ -63,7 +63,7 @@ class DecoderLayerInference {
   int64_t num_heads_;
   bool norm_first_;
   std::string activation_;
-  kernels::PackedLinear self_in_, self_out_, query_, key_value_, cross_out_, ff_in_, ff_out_;
+  kernels::FixedLinear self_in_, self_out_, query_, key_value_, cross_out_, ff_in_, ff_out_;
   Norm norm1_, norm2_, norm3_;
 };
 

@@ -17,8 +17,8 @@ constexpr int64_t kScratchValues = 1 << 21;
 
 /// One head of attention over one clip: softmax(q kᵀ) v, q scaled already; (T, C / heads) each.
 at::Tensor attend_head(const at::Tensor& q, const at::Tensor& k, const at::Tensor& v) {
-  const auto weights = at::softmax(fused_linear(q, k, std::nullopt), -1);
-  return fused_linear(weights, v.t().contiguous(), std::nullopt);
+  const auto weights = at::softmax(kernels::onednn_linear(q, k, std::nullopt), -1);
+  return kernels::onednn_linear(weights, v.t().contiguous(), std::nullopt);
 }
 
 }  // namespace
@@ -37,7 +37,7 @@ InferenceEncoder::InferenceEncoder(const SpeechEncoderOptions& options,
                 eps};
   };
   const auto linear = [&](const std::string& name) {
-    return FusedLinear(tensor(name + ".weight"), tensor(name + ".bias"), dtype);
+    return kernels::FixedLinear(tensor(name + ".weight"), tensor(name + ".bias"), dtype);
   };
   for (size_t i = 0; i < options.conv_dim.size(); ++i) {
     const std::string name = "feature_extractor.conv_layers." + std::to_string(i);
@@ -47,7 +47,7 @@ InferenceEncoder::InferenceEncoder(const SpeechEncoderOptions& options,
       first_weight_ = tensor(name + ".conv.weight").to(at::kFloat);
       first_bias_ = bias.defined() ? bias.to(at::kFloat) : bias;
     } else {
-      const FusedConv::Shape shape{options.conv_stride[i], 0, 1};
+      const kernels::FixedConv::Shape shape{options.conv_stride[i], 0, 1};
       layer.conv.emplace(tensor(name + ".conv.weight"), bias, shape, dtype);
     }
     if (options.feat_extract_norm == "layer" || i == 0) {
@@ -65,8 +65,8 @@ InferenceEncoder::InferenceEncoder(const SpeechEncoderOptions& options,
   positions_.emplace(at::_weight_norm(tensor(conv + "parametrizations.weight.original1"),
                                       tensor(conv + "parametrizations.weight.original0"), 2),
                      tensor(conv + "bias"),
-                     FusedConv::Shape{1, options.num_conv_pos_embeddings / 2,
-                                      options.num_conv_pos_embedding_groups},
+                     kernels::FixedConv::Shape{1, options.num_conv_pos_embeddings / 2,
+                                               options.num_conv_pos_embedding_groups},
                      dtype);
   encoder_norm_ = norm("encoder.layer_norm", options.layer_norm_eps);
   for (int64_t i = 0; i < options.num_hidden_layers; ++i) {
@@ -88,9 +88,9 @@ at::Tensor InferenceEncoder::first_layer(const at::Tensor& wave, const at::Tenso
   const auto& activation = options_.feat_extract_activation;
   const auto bias_or_none = bias.defined() ? std::optional<at::Tensor>(bias) : std::nullopt;
   if (options_.feat_extract_norm == "group") {  // the norm is in the weights
-    return fused_linear(windows, weight.squeeze(1), bias_or_none, activation).to(dtype_);
+    return kernels::onednn_linear(windows, weight.squeeze(1), bias_or_none, activation).to(dtype_);
   }
-  const auto y = fused_linear(windows, weight.squeeze(1), bias_or_none);
+  const auto y = kernels::onednn_linear(windows, weight.squeeze(1), bias_or_none);
   return activate(activation, (*conv_layers_[0].norm)(y)).to(dtype_);
 }
 

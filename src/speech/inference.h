@@ -16,7 +16,7 @@
 #include <vector>
 
 #include "freetalk/speech/options.h"
-#include "fused.h"
+#include "kernels/onednn.h"
 #include "statistics.h"
 
 namespace freetalk::speech {
@@ -50,11 +50,11 @@ class InferenceEncoder {
     at::Tensor operator()(const at::Tensor& x) const;
   };
   struct ConvLayer {
-    std::optional<FusedConv> conv;  // all but the first
+    std::optional<kernels::FixedConv> conv;  // all but the first
     std::optional<Norm> norm;
   };
   struct Layer {
-    FusedLinear q, k, v, out, up, down;
+    kernels::FixedLinear q, k, v, out, up, down;
     Norm attention_norm, final_norm;
   };
 
@@ -73,8 +73,8 @@ class InferenceEncoder {
   at::Tensor first_weight_, first_bias_;  // (C, 1, k), float32
   std::vector<ConvLayer> conv_layers_;
   std::optional<Norm> projection_norm_;
-  std::optional<FusedLinear> projection_;
-  std::optional<FusedConv> positions_;
+  std::optional<kernels::FixedLinear> projection_;
+  std::optional<kernels::FixedConv> positions_;
   Norm encoder_norm_;
   std::vector<Layer> layers_;
 };

@@ -37,7 +37,7 @@ std::optional<at::ScalarType> fast_dtype(const at::Tensor& input, const torch::n
   const auto compute = autocast ? at::autocast::get_autocast_dtype(at::kCPU) : dtype;
   const bool same_type = input.scalar_type() == dtype || (autocast && dtype == at::kFloat);
   if (!same_type || (dtype != at::kFloat && dtype != at::kBFloat16) ||
-      !has_fused_kernels(at::kFloat) || !has_fused_kernels(compute)) {
+      !kernels::has_onednn(at::kFloat) || !kernels::has_onednn(compute)) {
     return std::nullopt;
   }
   return compute;
