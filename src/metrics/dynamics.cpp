@@ -28,11 +28,12 @@ Steps steps_of(const at::Tensor& pred, const at::Tensor& target, const Selection
   return {motions.pred.diff(1, 1), motions.target.diff(1, 1), valid_runs(motions.valid, 2)};
 }
 
-/// 1 - cos of the angle between two vectors, 1 where either is 0: (..., 3) -> (...).
+/// 1 - cos of the angle between two vectors, 1 where one is 0, 0 where both are: (..., 3) -> (...).
 at::Tensor cosine_distance(const at::Tensor& a, const at::Tensor& b) {
-  const at::Tensor lengths = squared_length(a).sqrt() * squared_length(b).sqrt();
-  const at::Tensor product = (a * b).sum(-1);
-  return 1 - at::where(lengths > 0, product / lengths, at::zeros({}, product.options()));
+  const at::Tensor first = squared_length(a).sqrt(), second = squared_length(b).sqrt();
+  const at::Tensor product = (a * b).sum(-1), lengths = first * second;
+  const at::Tensor still = (first + second == 0).to(product.scalar_type());
+  return 1 - at::where(lengths > 0, product / lengths, still);
 }
 
 at::Tensor squared_jerk(const at::Tensor& motion) { return squared_length(motion.diff(3, 1)); }

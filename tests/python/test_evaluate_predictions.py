@@ -207,6 +207,31 @@ def test_numbers_are_those_of_plain_numpy(data: Data, full: dict[str, Any], syst
         assert found[key] == pytest.approx(value, rel=TOLERANCE, abs=TOLERANCE), key
 
 
+def test_lips_are_compared_with_speech_over_the_whole_set(data: Data, full: dict[str, Any]) -> None:
+    rows = {row["metric"]: row for row in full["metrics"]}
+    assert rows["mtm"]["unit"] == "ms" and set(rows["mtm"]["systems"]) == {"a", "b"}
+    loud = [
+        np.sqrt(np.square(soundfile.read(data.root / "wav" / f"{n}.wav")[0]).mean())
+        for n in data.names
+    ]
+
+    def moved(motion: np.ndarray) -> float:
+        steps = np.linalg.norm(np.diff(motion[:, LIPS], axis=0), axis=-1).mean(axis=1)
+        return float(np.sqrt(np.square(steps).mean()))
+
+    def normal(values: list[float]) -> np.ndarray:  # by speaker: the first three are of one
+        halves = np.reshape(values, (2, 3))
+        spread = halves.std(axis=1, ddof=1, keepdims=True)
+        return ((halves - halves.mean(axis=1, keepdims=True)) / spread).ravel()
+
+    for system, motions in (("b", data.pred["b"]), ("", {n: [m] for n, m in data.true.items()})):
+        lips = [moved(motions[name][0]) for name in data.names]
+        expected = np.corrcoef(normal(loud), normal(lips))[0, 1]
+        score = rows["slcc"]["systems"][system] if system else rows["slcc"]["ground_truth"]
+        assert score["mean"] == pytest.approx(expected, abs=1e-4)  # 16-bit sound
+    assert rows["slcc"]["paired"] == {}  # nearer to the truth's is better: no ideal to test against
+
+
 def test_samples_count_by_their_mean_and_give_diversity(data: Data, full: dict[str, Any]) -> None:
     name = data.names[4]
     first, second = data.pred["a"][name]

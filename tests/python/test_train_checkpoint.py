@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import random
 import shutil
 import subprocess
 import sys
@@ -74,16 +73,22 @@ run(kind, config, options, corpus, out)
 
 
 @pytest.mark.parametrize(
-    ("kind", "where"),
-    [("ats", "step"), ("stm", "state.json"), ("stm", "last.json")],
+    ("kind", "where", "at"),
+    # Before the first checkpoint, and between two; while one is written: the first, the last before the end.
+    [
+        ("ats", "step", 1),
+        ("ats", "step", 5),
+        ("stm", "state.json", 1),
+        ("stm", "state.json", 4),
+        ("stm", "last.json", 1),
+        ("stm", "last.json", 4),
+    ],
 )
 def test_a_killed_training_ends_with_the_same_weights(
-    kind: str, where: str, corpus: Path, tmp_path: Path
+    kind: str, where: str, at: int, corpus: Path, tmp_path: Path
 ) -> None:
     config = CONFIGS / f"{kind}_smoke.yaml"
     options = [*QUICK, "loop.max_steps=9", "loop.checkpoint_every=2"]
-    # Steps 1 to 8; the checkpoints are those of steps 2, 4, 6, 8 and of the end.
-    at = random.SystemRandom().randint(1, 8 if where == "step" else 4)
     killed, whole = tmp_path / "killed", tmp_path / "whole"
     arguments = [kind, str(config), str(corpus), str(killed), str(at), where, *options]
     done = subprocess.run(

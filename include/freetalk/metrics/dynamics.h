@@ -24,8 +24,8 @@ at::Tensor delta_m(const at::Tensor& pred, const at::Tensor& target,
 at::Tensor delta_m_l2(const at::Tensor& pred, const at::Tensor& target,
                       const Selection& selection = {});
 
-/// delta_Cd = mean_t mean_v 1 - cos(u_tv, w_tv), in [0, 2]; 1 where u or w is exactly 0, and near 1
-/// on average where they are noise. [FreeTalk 4.1: "cosine distance", prose only; formula ours]
+/// delta_Cd = mean_t mean_v 1 - cos(u_tv, w_tv), in [0, 2]; 1 where u or w alone is exactly 0, 0
+/// where both are, near 1 on average where they are noise. [FreeTalk 4.1: prose only; formula ours]
 at::Tensor delta_cd(const at::Tensor& pred, const at::Tensor& target,
                     const Selection& selection = {});
 

@@ -11,6 +11,7 @@ from freetalk.evaluate.speech_motion import (
     correlation,
     log_energy,
 )
+from freetalk.evaluate.surfaces import SurfaceDistances, surface_distances
 from freetalk.evaluate.writers import write_report
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "PredictionSettings",
     "Scores",
     "StatisticsSettings",
+    "SurfaceDistances",
     "affect_features",
     "closures",
     "correlation",
@@ -30,5 +32,6 @@ __all__ = [
     "open_ground_truth",
     "read_masks",
     "score_predictions",
+    "surface_distances",
     "write_report",
 ]

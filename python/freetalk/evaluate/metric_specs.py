@@ -85,6 +85,25 @@ EXTRAS: dict[str, MetricSpec] = {
             two_sided=True,
         ),
         _extra(
+            "mtm",
+            "MTM",
+            "ms",
+            0,
+            "mean distance in time of the peaks and valleys of predicted and true lip opening that "
+            "derivative dynamic time warping joins",
+            source="Chae-Yeon et al., CVPR 2025",
+        ),
+        _extra(
+            "slcc",
+            "SLCC",
+            "1",
+            float("nan"),
+            "correlation over clips of speech's RMS and the lips' RMS step, normalised by speaker; nearer to "
+            "the ground truth's is better",
+            two_sided=True,
+            source="Chae-Yeon et al., CVPR 2025",
+        ),
+        _extra(
             "audio_offset_ms",
             "audio offset",
             "ms",
@@ -145,9 +164,10 @@ EXTRAS: dict[str, MetricSpec] = {
 #: The metrics of FreeTalk's tables.
 PAPER = ("lve", "mve_mean", "fdd", "dtw", "dfd", "delta_m", "delta_cd")
 _DEFAULT = (*PAPER, "jitter_ratio", *EXTRAS)
-_NEEDS_PAIRS = ("lip_correlation", "lip_offset_ms", "audio_offset_ms", "closure_rate")
+_NEEDS_AUDIO = ("audio_offset_ms", "slcc")
+_NEEDS_PAIRS = ("lip_correlation", "mtm", "lip_offset_ms", "audio_offset_ms", "closure_rate")
 _NEEDS_SAMPLES = ("diversity_vertex", "lve_mean_estimate", "lve_coverage")
-_NEEDS_RATE = ("jerk_energy", "lip_offset_ms", "audio_offset_ms", "closure_rate")
+_NEEDS_RATE = ("mtm", "jerk_energy", "lip_offset_ms", "audio_offset_ms", "closure_rate")
 _NEEDS_NEUTRAL = ("fdd", "fdd_abs", "closure_rate", "emotion_rate")
 
 
@@ -244,7 +264,7 @@ def _lacking(spec: MetricSpec, has: Available) -> str | None:
         return "neutral faces (--templates)"
     if spec.name == "closure_rate" and not has.phones:
         return "--phones"
-    if spec.name == "audio_offset_ms" and not has.audio:
+    if spec.name in _NEEDS_AUDIO and not has.audio:
         return "audio (--wav)"
     if spec.name == "emotion_rate" and not has.emotions:
         return "two sequences at least of each of two emotions (--emotions)"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +23,7 @@ from freetalk.evaluate.motion_files import (
     motion_paths,
     read_motion,
 )
+from freetalk.evaluate.whole_set import WHOLE_SET, WholeSet, can_recognise
 
 #: Frames that a metric needs at least; shorter sequences have no value of it.
 _LEAST_FRAMES = {"jitter_ratio": 4, "jerk_energy": 4, "lip_correlation": 2} | dict.fromkeys(
@@ -167,14 +167,13 @@ def score_predictions(
         ValueError, OSError: what is missing or wrong, with the file.
     """
     systems, names = find_predictions(folders, truth, settings)
-    labels = {name: truth.emotion(name) for name in names}
     available = Available(
         masks=list(masks),
         pairs=lip_pairs is not None,
         phones=any(truth.phones(name) for name in names),
         audio=truth.audio(names[0]) is not None,
         rate=truth.fps is not None,
-        emotions=_can_recognise(list(labels.values())),
+        emotions=can_recognise([truth.emotion(name) for name in names]),
         neutral=truth.has_neutral,
         samples=any(len(s.files[n]) > 1 for s in systems for n in names),
     )
@@ -193,7 +192,7 @@ def score_predictions(
     )
     for name in tqdm(names, desc="score", leave=False):
         scorer.score(name, scores)
-    scorer.add_emotions(labels, scores)
+    scorer.whole.finish(scores)
     _check_size(scorer.extent_m, scores)
     return scores
 
@@ -233,7 +232,7 @@ class _Scorer:
         self._up = settings.up or truth.up or (0.0, 1.0, 0.0)
         self._fps = truth.fps or 0.0  # metrics of time are left out where no rate is known
         self._wanted = {spec.name for spec in specs}
-        self._affect: dict[str, dict[str, torch.Tensor]] = {}
+        self.whole = WholeSet(self._wanted, truth, self._indices)
         #: Extent of the first true frame and the greatest true motion, for a note on units.
         self.extent_m = 0.0
 
@@ -250,8 +249,7 @@ class _Scorer:
             own = self._reference(spec, clip)
             if own is not None:
                 scores.reference[spec.key][name] = spec.factor * own
-        if "emotion_rate" in self._wanted:
-            self._affect.setdefault("", {})[name] = self._features(clip.target)
+        self.whole.add("", name, [clip.target])
         for system in scores.systems:
             samples = self._samples(system, name, true)
             length = system.frames[name] = min(len(true), *(len(one) for one in samples))
@@ -260,30 +258,7 @@ class _Scorer:
                 value = self._value(spec, tensors, clip.cut(length))
                 if value is not None:
                     scores.values[spec.key][system.name][name] = spec.factor * value
-            if "emotion_rate" in self._wanted:
-                features = [self._features(one) for one in tensors]
-                self._affect.setdefault(system.name, {})[name] = torch.stack(features).mean(0)
-
-    def add_emotions(self, labels: dict[str, str | None], scores: Scores) -> None:
-        """Adds the recognised emotions, which need all sequences at once."""
-        if "emotion_rate" not in self._wanted:
-            return
-        counts = Counter(labels.values())
-        names = [n for n in scores.names if labels[n] is not None and counts[labels[n]] > 1]
-        kept = [str(labels[n]) for n in names]
-        truth = torch.stack([self._affect[""][n] for n in names])
-        for system in ("", *(s.name for s in scores.systems)):
-            own = torch.stack([self._affect[system][n] for n in names])
-            hits = metrics.recognised(own, truth, kept)
-            values = {n: float(hit) for n, hit in zip(names, hits)}
-            if system:
-                scores.values["emotion_rate"][system] = values
-            else:
-                scores.reference["emotion_rate"] = values
-        scores.notes.append(
-            f"emotion_rate: {len(set(kept))} emotions in {len(names)} sequences, chance is "
-            f"{1 / len(set(kept)):.2f}"
-        )
+            self.whole.add(system.name, name, tensors)
 
     def _samples(self, system: System, name: str, true: FloatArray) -> list[FloatArray]:
         samples = []
@@ -317,7 +292,7 @@ class _Scorer:
             if spec.name == "diversity_vertex":
                 return float(metrics.diversity_vertex(stack))
             return float(getattr(metrics, spec.name)(stack, clip.target, vertices=mask))
-        if spec.name == "emotion_rate" or len(clip.target) < _LEAST_FRAMES.get(spec.name, 1):
+        if spec.name in WHOLE_SET or len(clip.target) < _LEAST_FRAMES.get(spec.name, 1):
             return None
         if spec.name in metrics.METRICS:
             found = [
@@ -336,6 +311,9 @@ class _Scorer:
         opening, true = self._opening(motion), self._opening(clip.target)
         if spec.name == "lip_correlation":
             return float(metrics.correlation(opening, true))
+        if spec.name == "mtm":
+            found_ms = metrics.temporal_misalignment(opening, true, self._fps)
+            return None if np.isnan(found_ms) else found_ms
         if spec.name == "closure_rate":
             largest = max(float(true.max()), 1e-6)
             closed = metrics.lip_closures(opening, clip.phones, self._fps, largest=largest)
@@ -362,14 +340,6 @@ class _Scorer:
 
     def _long_enough(self, frames: int) -> bool:
         return frames >= int(self._settings.max_offset_ms * self._fps / 1000 + 1e-9) + 4
-
-    def _features(self, motion: torch.Tensor) -> torch.Tensor:
-        return metrics.affect_features(motion, vertices=self._indices["upper"])
-
-
-def _can_recognise(labels: Sequence[str | None]) -> bool:
-    counts = Counter(label for label in labels if label is not None)
-    return sum(count > 1 for count in counts.values()) > 1
 
 
 def _check_size(largest_m: float, scores: Scores) -> None:

@@ -19,7 +19,7 @@ from freetalk.evaluate.predictions import Scores
 FORMAT = "freetalk-scores"
 #: Metrics that by their nature not every sequence has.
 _PARTIAL = (
-    *("closure_rate", "emotion_rate", "audio_offset_ms"),
+    *("closure_rate", "emotion_rate", "audio_offset_ms", "mtm", "slcc"),
     *("diversity_vertex", "lve_mean_estimate", "lve_coverage"),
 )
 

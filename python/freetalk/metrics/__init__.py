@@ -20,6 +20,13 @@ from freetalk.metrics.lips import (
     lip_opening,
     log_energy,
 )
+from freetalk.metrics.perceptual import (
+    IntensityCorrelation,
+    lip_intensity,
+    speech_intensity,
+    speech_lip_correlation,
+    temporal_misalignment,
+)
 from freetalk.metrics.samples import (
     diversity,
     diversity_vertex,
@@ -64,6 +71,7 @@ __all__ = [
     "METRICS",
     "SPREAD_FLOOR_M",
     "BootstrapOptions",
+    "IntensityCorrelation",
     "Interval",
     "MetricInfo",
     "NearestCentroid",
@@ -90,6 +98,7 @@ __all__ = [
     "jerk_energy",
     "jitter_ratio",
     "lip_closures",
+    "lip_intensity",
     "lip_opening",
     "log_energy",
     "lve",
@@ -101,6 +110,9 @@ __all__ = [
     "mve_mean",
     "permutation_test",
     "recognised",
+    "speech_intensity",
+    "speech_lip_correlation",
+    "temporal_misalignment",
     "vertex_metric",
     "wilcoxon_test",
 ]

@@ -103,6 +103,7 @@ TEST(Delta, OfConstantVelocitiesIsThatOfTheVectors) {
   EXPECT_NEAR(delta_cd(right, 3 * right).item<double>(), 0, kRounding);
   EXPECT_NEAR(delta_cd(right, left).item<double>(), 2, kRounding);
   EXPECT_NEAR(delta_cd(right, 0 * right).item<double>(), 1, kRounding);
+  EXPECT_EQ(delta_cd(0 * right, 0 * right).item<double>(), 0);  // still, and predicted still
 }
 
 TEST(DeltaCdWeighted, CountsMovementAlone) {
