@@ -14,7 +14,6 @@ from dataset_layouts import write_scantalk
 import freetalk
 from freetalk.cli import main
 from freetalk.data import open_dataset
-from freetalk.geometry import Mesh
 
 VERTICES = 30
 NAMES = ("F1_e1", "F1_e2")
@@ -37,7 +36,7 @@ def motion(name: str, frames: int = 40) -> np.ndarray:
 
 def write_animation(path: Path, moved: np.ndarray, scale: float, fps: float) -> None:
     triangles = np.arange(VERTICES).reshape(-1, 3)
-    mesh = Mesh(face() / scale, triangles)
+    mesh = freetalk.Mesh(face() / scale, triangles)
     animation = freetalk.Animation(mesh, moved / scale, fps=fps, metres_per_unit=scale)
     animation.save(path)
 
@@ -210,7 +209,7 @@ def test_the_axis_to_the_top_is_the_files(tmp_path: Path) -> None:
         moved, noisy = motion(name), motion(name) + 0.5 * motion(f"{name}x")
         for folder, frames in (("upright", moved), ("lying", noisy)):
             triangles = np.arange(VERTICES).reshape(-1, 3)
-            mesh = Mesh(face() @ turn, triangles)
+            mesh = freetalk.Mesh(face() @ turn, triangles)
             animation = freetalk.Animation(mesh, frames @ turn, fps=30.0, to_y_up=turn)
             animation.save(tmp_path / folder / f"{name}.npz")
     for folder in ("upright y", "lying y"):

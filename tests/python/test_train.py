@@ -232,7 +232,9 @@ def test_stm_training_lowers_the_error(corpus: Path, tmp_path: Path) -> None:
         corpus,
         tmp_path,
     )
-    assert result.scores["relative_error"] < 1.0  # 1 is a face that stays still
+    # 1 is a face that stays still, and what the untrained network scores; 60 steps of
+    # three seeds reach 0.46 to 0.53.
+    assert result.scores["relative_error"] < 0.7
     Stm.from_pretrained(tmp_path / "stm")
 
 
