@@ -85,11 +85,12 @@ freetalk_add_room(nn USES core kernels mesh geometry TORCH ALL)
 freetalk_add_room(speech USES audio nn kernels core TORCH ALL HEADERS_OF ${json})
 freetalk_add_room(diffusion USES core TORCH ALL)
 freetalk_add_room(ats USES speech diffusion nn core TORCH ALL HEADERS_OF ${json})
-freetalk_add_room(stm USES nn geometry core TORCH ALL HEADERS_OF ${json})
+freetalk_add_room(stm USES nn kernels geometry core TORCH ALL HEADERS_OF ${json})
+freetalk_add_room(rig USES geometry kernels core TORCH ALL)
 freetalk_add_room(metrics USES core TORCH ALL)
 freetalk_add_room(animation USES audio mesh geometry core TORCH ALL HEADERS_OF ${json})
-freetalk_add_room(talker USES animation stm ats speech diffusion nn geometry mesh audio core TORCH ALL
-                  HEADERS_OF ${json})
+freetalk_add_room(talker USES animation rig stm ats speech diffusion nn geometry mesh audio core
+                  TORCH ALL HEADERS_OF ${json})
 
 # core/parallel.cpp is the one unit with OpenMP; its runtime is the very one that torch uses.
 set_source_files_properties("${CMAKE_CURRENT_SOURCE_DIR}/src/core/parallel.cpp" PROPERTIES

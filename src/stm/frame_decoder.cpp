@@ -78,9 +78,26 @@ FrameDecoder::Plan FrameDecoder::plan() const {
   return {std::clamp<int64_t>(left / of_frame / in_work * in_work, in_work, kMaxChunk), in_work};
 }
 
-at::Tensor FrameDecoder::decode_chunk(const at::Tensor& landmarks, int64_t in_work) {
+nn::FrameInputs FrameDecoder::inputs_of(const at::Tensor& landmarks) const {
+  std::vector<nn::FrameInputs> frames(static_cast<size_t>(landmarks.size(0)));
+  core::parallel_for(0, landmarks.size(0), 1, [&](int64_t begin, int64_t end) {
+    for (int64_t t = begin; t < end; ++t) {
+      frames[static_cast<size_t>(t)] = model_->frame_inputs(landmarks.narrow(0, t, 1));
+    }
+  });
+  const auto join = [&frames](at::Tensor nn::FrameInputs::* field) {
+    if (!(frames.front().*field).defined()) return at::Tensor();
+    std::vector<at::Tensor> parts;
+    for (const nn::FrameInputs& frame : frames) parts.push_back(frame.*field);
+    return at::cat(parts);
+  };
+  return {join(&nn::FrameInputs::offsets), join(&nn::FrameInputs::keys),
+          join(&nn::FrameInputs::values)};
+}
+
+at::Tensor FrameDecoder::decode_chunk(const at::Tensor& landmarks, int64_t in_work) const {
   if (fused_) {
-    return fused_->run(model_->frame_inputs(landmarks), landmarks.size(0), in_work)
+    return fused_->run(inputs_of(landmarks), landmarks.size(0), in_work)
         .mul_(model_->options().displacement_scale);
   }
   if (options_.precision == "bfloat16") {
@@ -91,7 +108,7 @@ at::Tensor FrameDecoder::decode_chunk(const at::Tensor& landmarks, int64_t in_wo
 }
 
 void FrameDecoder::decode(const at::Tensor& landmarks,
-                          const std::function<void(int64_t, const at::Tensor&)>& sink) {
+                          const std::function<void(int64_t, const at::Tensor&)>& sink) const {
   const torch::NoGradGuard no_grad;
   const auto [chunk, in_work] = plan();
   for (int64_t first = 0; first < landmarks.size(0); first += chunk) {
@@ -100,7 +117,7 @@ void FrameDecoder::decode(const at::Tensor& landmarks,
   }
 }
 
-at::Tensor FrameDecoder::decode(const at::Tensor& landmarks) {
+at::Tensor FrameDecoder::decode(const at::Tensor& landmarks) const {
   at::Tensor result = at::empty({landmarks.size(0), operators_.num_vertices(), 3},
                                 landmarks.options().dtype(at::kFloat));
   decode(landmarks, [&result](int64_t first, const at::Tensor& part) {

@@ -20,14 +20,20 @@ ROOMS: dict[str, set[str]] = {
     "nn": {"core", "kernels", "mesh", "geometry"},
     "speech": {"core", "audio", "kernels", "nn"},
     "diffusion": {"core"},
+<<<<<<< HEAD
     "ats": {"core", "speech", "diffusion", "nn"},
     "stm": {"core", "nn", "geometry"},
+=======
+    "ats": {"core", "speech", "diffusion", "kernels", "nn"},
+    "stm": {"core", "kernels", "nn", "geometry"},
+    "rig": {"core", "kernels", "geometry"},
+>>>>>>> a2ab6fd (Adaptive decoding: a few frames of a clip by STM, the rest interpolated over the landmarks)
     "facetalk": {"core", "speech", "diffusion", "nn", "geometry"},
     "metrics": {"core"},
     "animation": {"core", "audio", "mesh", "geometry"},
     "talker": {
-        "core", "audio", "mesh", "geometry", "nn", "speech", "diffusion", "ats", "stm", "facetalk",
-        "metrics", "animation",
+        "core", "audio", "mesh", "geometry", "nn", "speech", "diffusion", "ats", "stm", "rig",
+        "facetalk", "metrics", "animation",
     },
 }  # fmt: skip
 

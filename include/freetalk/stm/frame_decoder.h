@@ -13,7 +13,8 @@ class FusedDiffusion;
 namespace freetalk::stm {
 
 /// decode() without gradients. DiffusionNet decoders in float32 on a CPU go through fused kernels
-/// (nn/fused_diffusion.h), others through StmImpl::decode in chunks.
+/// (nn/fused_diffusion.h), others through StmImpl::decode in chunks. Decoding may run on several
+/// threads at a time. Through the fused kernels a frame's bits depend on nothing but the frame.
 class FrameDecoder {
  public:
   /// Changes of the model after this may or may not reach the decoder: make another.
@@ -25,10 +26,10 @@ class FrameDecoder {
   /// @param landmarks (T, 68, 3) displacements, metres.
   /// @param sink called with (first frame, (t, V, 3) displacements in metres) in order.
   void decode(const at::Tensor& landmarks,
-              const std::function<void(int64_t, const at::Tensor&)>& sink);
+              const std::function<void(int64_t, const at::Tensor&)>& sink) const;
 
   /// @returns (T, V, 3) displacements, metres.
-  at::Tensor decode(const at::Tensor& landmarks);
+  at::Tensor decode(const at::Tensor& landmarks) const;
 
  private:
   /// Frames of a chunk, and how many of them are in work at a time: as many as the memory and the
@@ -37,7 +38,9 @@ class FrameDecoder {
     int64_t chunk, in_work;
   };
   Plan plan() const;
-  at::Tensor decode_chunk(const at::Tensor& landmarks, int64_t in_work);
+  at::Tensor decode_chunk(const at::Tensor& landmarks, int64_t in_work) const;
+  /// What the decoder takes in, each frame by itself: its bits do not depend on the others.
+  nn::FrameInputs inputs_of(const at::Tensor& landmarks) const;
 
   std::shared_ptr<StmImpl> model_;
   MeshFeatures mesh_;
