@@ -3,6 +3,7 @@
 #include <torch/extension.h>
 
 #include "bind_module.h"
+#include "freetalk/stm/adaptive_decoder.h"
 #include "freetalk/stm/attention.h"
 #include "freetalk/stm/frame_decoder.h"
 
@@ -34,4 +35,21 @@ void bind_stm(py::module_& m) {
            py::arg("options") = fs::DecodeOptions{}, release)
       .def("decode", py::overload_cast<const at::Tensor&>(&fs::FrameDecoder::decode),
            py::arg("landmarks"), release, "(T, V, 3) displacements in metres.");
+  freetalk::bindings::bind_options<fs::AdaptiveOptions>(m, "AdaptiveOptions",
+                                                        "Tolerances of decode_adaptively.");
+  py::class_<fs::AdaptiveReport>(m, "AdaptiveReport", "What decode_adaptively decoded.")
+      .def_readonly("frames", &fs::AdaptiveReport::frames)
+      .def_readonly("decoded", &fs::AdaptiveReport::decoded)
+      .def_readonly("mean_error", &fs::AdaptiveReport::mean_error)
+      .def_readonly("max_error_mm", &fs::AdaptiveReport::max_error_mm);
+  m.def(
+      "decode_adaptively",
+      [](const fs::FrameDecoder& decoder, const at::Tensor& landmarks,
+         const fs::AdaptiveOptions& options) {
+        fs::AdaptiveReport report;
+        at::Tensor result = fs::decode_adaptively(decoder, landmarks, options, &report);
+        return std::pair{std::move(result), report};
+      },
+      py::arg("decoder"), py::arg("landmarks"), py::kw_only(),
+      py::arg("options") = fs::AdaptiveOptions{}, release);
 }

@@ -10,6 +10,8 @@ from freetalk._module import NativeModule
 StmOptions = _native.stm.StmOptions
 DecodeOptions = _native.stm.DecodeOptions
 FrameDecoder = _native.stm.FrameDecoder
+AdaptiveOptions = _native.stm.AdaptiveOptions
+AdaptiveReport = _native.stm.AdaptiveReport
 MeshFeatures = _native.stm.MeshFeatures
 
 
@@ -108,4 +110,38 @@ class Stm(NativeModule):
         return self._impl.frames_per_chunk(num_vertices, memory_bytes)
 
 
-__all__ = ["DecodeOptions", "FrameDecoder", "MeshFeatures", "Stm", "StmOptions"]
+def decode_adaptively(
+    decoder: FrameDecoder,
+    landmarks: torch.Tensor,
+    *,
+    tolerance_mm: float = 0.2,
+    tolerance_mean: float = 0.005,
+) -> tuple[torch.Tensor, AdaptiveReport]:
+    """A clip from a few decoded frames, the others interpolated between them over the landmarks.
+
+    Args:
+        decoder: of ``Stm.frame_decoder``.
+        landmarks: (T, 68, 3) displacements in metres.
+        tolerance_mm: largest error of a vertex; 0 decodes every frame.
+        tolerance_mean: mean error as a share of the clip's mean motion.
+
+    Returns:
+        (T, V, 3) displacements in metres, and what was decoded with the errors to expect in between.
+
+    Raises:
+        ValueError: another shape, or a tolerance out of range.
+    """
+    options = AdaptiveOptions(tolerance_mm=tolerance_mm, tolerance_mean=tolerance_mean)
+    return _native.stm.decode_adaptively(decoder, landmarks, options=options)
+
+
+__all__ = [
+    "AdaptiveOptions",
+    "AdaptiveReport",
+    "DecodeOptions",
+    "FrameDecoder",
+    "MeshFeatures",
+    "Stm",
+    "StmOptions",
+    "decode_adaptively",
+]

@@ -83,7 +83,7 @@ void ShapeSolver::solve(const Eigen::VectorXd& landmarks, std::vector<double>& w
   weights.resize(enabled_.size(), 0.0);
   Eigen::Map<Eigen::VectorXd> w(weights.data(), count);
   const Eigen::VectorXd target =
-      (shapes_.transpose() * landmarks + temporal_ * w).array() - l1_ / 2;
+      ((shapes_.transpose() * landmarks + temporal_ * w).array() - l1_ / 2).matrix();
   for (int sweep = 0; sweep < kSweeps; ++sweep) {
     double change = 0.0;
     for (Eigen::Index i = 0; i < count; ++i) {

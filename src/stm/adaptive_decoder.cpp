@@ -80,7 +80,7 @@ class Clip {
     const std::vector<int64_t> checked(nodes.begin() + before, nodes.end());
     const at::Tensor exact = decode(nodes, before);
     const at::Tensor error =
-        (combine(interpolation_.weights(checked, before), fields_) - exact).norm(2, {2});
+        (combine(interpolation_.weights(checked, before), fields_) - exact).norm(2, -1);
     const at::Tensor means = error.mean(1).cpu(), largest = error.amax(1).cpu();
     double errors = 0.0, doubts = 0.0;
     double ratio = 0.0;
@@ -103,7 +103,7 @@ class Clip {
     const int64_t step = std::max<int64_t>(1, fields_.size(1) / kMotionSamples);
     const at::Tensor sampled = fields_.slice(1, 0, std::nullopt, step).contiguous();
     const double motion =
-        combine(interpolation_.weights(decoded()), sampled).norm(2, {2}).mean().item<double>();
+        combine(interpolation_.weights(decoded()), sampled).norm(2, -1).mean().item<double>();
     report.decoded = decoded();
     report.mean_error = kMeanSafety * mean_per_doubt_ * doubt.mean() / std::max(motion, 1e-9);
     report.max_error_mm = kMaxSafety * 1e3 * largest_per_doubt_ * doubt.maxCoeff();

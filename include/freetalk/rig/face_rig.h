@@ -34,9 +34,9 @@ struct RigPoses {
 };
 
 struct RigOptions {
-  int64_t poses = 120;          // of the library that are decoded, at most
+  int64_t poses = 100;          // of the library that are decoded, at most
   int64_t max_correctives = 32;  // fields; each gives two targets
-  double tolerance_mm = 0.02;    // mean of what the correctives leave over the poses, mm
+  double tolerance_mm = 0.02;    // root mean square of what the correctives leave of the poses
   // Weights of the solver's terms, mm^2 over all landmarks:
   double l2 = 1.0;         // sum of w^2
   double l1 = 0.5;         // sum of w
@@ -80,6 +80,13 @@ class FaceRig {
   static FaceRig build(const Decode& decode, const RigPoses& poses, const RigOptions& options = {},
                        const std::function<void(double)>& progress = {});
 
+  /// The rig that an earlier call left in `cache_dir` (empty: core::default_cache_dir()), or a new
+  /// one, left there for the next. A folder that cannot be written is passed over.
+  /// @param content says what `decode` computes: a hash of weights and mesh, say.
+  static FaceRig cached(const std::string& content, const std::filesystem::path& cache_dir,
+                        const Decode& decode, const RigPoses& poses, const RigOptions& options = {},
+                        const std::function<void(double)>& progress = {});
+
   /// @throws std::runtime_error naming the file that is missing, broken or does not fit.
   static FaceRig load(const std::filesystem::path& path);
   void save(const std::filesystem::path& path) const;
@@ -100,7 +107,9 @@ class FaceRig {
   at::Tensor vertices(const at::Tensor& weights) const;
 
  private:
+  struct Solver;
   FaceRig() = default;
+  /// Checks that the members fit and makes the solver. @throws std::invalid_argument.
   void prepare();
 
   std::vector<std::string> names_;
@@ -108,10 +117,9 @@ class FaceRig {
   at::Tensor targets_;
   at::Tensor shapes_;       // (S, 68, 3) float32 m
   at::Tensor nodes_;        // (N, 68, 3) float32 m: decoded poses, in the order of interpolation
-  at::Tensor node_fields_;  // (N, C) float64: the nodes' displacements in the corrective fields
-  at::Tensor shape_fields_; // (S, C) float64: the shape targets in the corrective fields
-  at::Tensor scales_;       // (C,) float64: value of a field at weight one
-  struct Solver;
+  at::Tensor node_fields_;   // (N, C) float64: the nodes' displacements in the corrective fields
+  at::Tensor shape_fields_;  // (S, C) float64: the shape targets in the corrective fields
+  at::Tensor scales_;        // (C,) float64: value of a field at weight one
   std::shared_ptr<const Solver> solver_;
 };
 

@@ -1,0 +1,24 @@
+// Between tensors of landmark motion and Eigen.
+#pragma once
+
+#include <ATen/core/Tensor.h>
+#include <Eigen/Core>
+
+#include "geometry/greedy_interpolation.h"
+
+namespace freetalk::rig {
+
+using Rows = geometry::GreedyInterpolation::Points;  // double, row-major
+
+/// (N, 68, 3) m to (N, 204) mm.
+Rows landmark_rows(const at::Tensor& landmarks);
+/// (N, M) float64 or float32.
+Rows to_rows(const at::Tensor& matrix);
+at::Tensor to_tensor(const Rows& rows);
+
+/// (N, M) scalar products of fields (N, ...) and (M, ...) float32, summed in double in one order.
+Rows products(const at::Tensor& a, const at::Tensor& b);
+/// (T, ...) = weights (T, N) times fields (N, ...) float32.
+at::Tensor combine(const Rows& weights, const at::Tensor& fields);
+
+}  // namespace freetalk::rig
