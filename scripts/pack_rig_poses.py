@@ -55,7 +55,10 @@ def arkit_shapes() -> tuple[list[str], Poses, Poses]:
 
 def spoken_poses(weights: Path) -> Poses:
     """(T, 68, 3) motion of one speech under every emotion of the weights, slight and strong."""
-    ats, encoder = Ats.from_pretrained(weights / "ats"), SpeechEncoder.from_pretrained(weights / "speech")
+    ats, encoder = (
+        Ats.from_pretrained(weights / "ats"),
+        SpeechEncoder.from_pretrained(weights / "speech"),
+    )
     sound, _ = sf.read(speech_clip(), dtype="float32")
     features = encode_speech(encoder, torch.from_numpy(sound), ats.options.fps)
     emotions = torch.eye(len(ats.options.emotions))

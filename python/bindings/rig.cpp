@@ -42,6 +42,7 @@ void bind_rig(py::module_& m) {
       .def_property_readonly("num_shapes", &fr::FaceRig::num_shapes)
       .def_property_readonly("num_vertices", &fr::FaceRig::num_vertices)
       .def_property_readonly("options", &fr::FaceRig::options)
-      .def("solve", &fr::FaceRig::solve, py::arg("landmarks"), py::arg("state") = py::none(), NoGil())
+      .def("solve", &fr::FaceRig::solve, py::arg("landmarks"), py::arg("state") = py::none(),
+           NoGil())
       .def("vertices", &fr::FaceRig::vertices, py::arg("weights"), NoGil());
 }

@@ -27,7 +27,7 @@ from scipy.signal import resample_poly
 
 import freetalk
 from freetalk.ats import Ats, GenerateOptions, generate
-from freetalk.corpus.assets import load_clips, load_face_model, speech_clip
+from freetalk.corpus.assets import load_clips, load_face_model
 from freetalk.corpus.topologies import TOPOLOGIES
 from freetalk.geometry import align_to_template, connected_components, load_mesh, surface_operators
 from freetalk.rig import FaceRig
@@ -72,7 +72,9 @@ def voices(data: Path | None, seconds: float) -> Iterator[tuple[str, torch.Tenso
         yield name, torch.from_numpy(resample_poly(sound, RATE, rate).astype(np.float32))
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "espeak.wav"
-        text = "The birch canoe slid on the smooth planks. Glue the sheet to the dark blue background."
+        text = (
+            "The birch canoe slid on the smooth planks. Glue the sheet to the dark blue background."
+        )
         try:
             subprocess.run(["espeak-ng", "-w", file, text], check=True)
         except FileNotFoundError:
@@ -126,7 +128,10 @@ def measure(decoder: FrameDecoder, rig: FaceRig, landmarks: torch.Tensor) -> Row
 
 def motions(data: Path | None, seconds: float) -> dict[str, torch.Tensor]:
     """(T, 68, 3) of every voice under every emotion."""
-    ats, encoder = Ats.from_pretrained(WEIGHTS / "ats"), SpeechEncoder.from_pretrained(WEIGHTS / "speech")
+    ats, encoder = (
+        Ats.from_pretrained(WEIGHTS / "ats"),
+        SpeechEncoder.from_pretrained(WEIGHTS / "speech"),
+    )
     options = GenerateOptions(num_steps=25, mouth_temperature=0.3)
     names = ats.options.emotions
     made = {}
@@ -157,9 +162,9 @@ def main() -> None:
         if arguments.meshes and name not in arguments.meshes:
             continue
         o = stm.options
-        operators = surface_operators(
-            vertices / o.length_scale, faces, k=o.k_eig
-        ).to(dtype=torch.float32)
+        operators = surface_operators(vertices / o.length_scale, faces, k=o.k_eig).to(
+            dtype=torch.float32
+        )
         with torch.no_grad():
             features = stm.encode(torch.from_numpy(vertices).float(), operators)
         decoder = stm.frame_decoder(features, operators)

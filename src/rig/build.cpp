@@ -13,9 +13,9 @@
 namespace freetalk::rig {
 namespace {
 
-constexpr int64_t kBatch = 32;      // frames decoded between two reports of progress
-constexpr double kHeadroom = 1.5;   // of a corrective's range over that among the poses
-constexpr double kSamePose = 0.1;    // mm over all landmarks
+constexpr int64_t kBatch = 32;     // frames decoded between two reports of progress
+constexpr double kHeadroom = 1.5;  // of a corrective's range over that among the poses
+constexpr double kSamePose = 0.1;  // mm over all landmarks
 
 /// Rest, shapes and library, without poses that are there already.
 at::Tensor candidates(const RigPoses& poses, int64_t limit) {

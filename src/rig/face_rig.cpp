@@ -56,9 +56,8 @@ void RigOptions::check() const {
                  "rig: max_correctives must be between 0 and 99, found ", max_correctives);
   FREETALK_CHECK(tolerance_mm >= 0, "rig: tolerance_mm must not be negative, found ", tolerance_mm);
   FREETALK_CHECK(l2 > 0, "rig: l2 must be positive, found ", l2);
-  for (const auto& [name, value] :
-       {std::pair{"l1", l1}, std::pair{"symmetry", symmetry}, std::pair{"cancel", cancel},
-        std::pair{"temporal", temporal}}) {
+  for (const auto& [name, value] : {std::pair{"l1", l1}, std::pair{"symmetry", symmetry},
+                                    std::pair{"cancel", cancel}, std::pair{"temporal", temporal}}) {
     FREETALK_CHECK(value >= 0, "rig: ", name, " must not be negative, found ", value);
   }
 }

@@ -25,8 +25,8 @@ Rows products(const at::Tensor& a, const at::Tensor& b) {
   Rows result(a.size(0), b.size(0));
   core::parallel_for(0, a.size(0), 1, [&](int64_t begin, int64_t end) {
     for (int64_t i = begin; i < end; ++i) {
-      const Eigen::VectorXd left = Field(a.const_data_ptr<float>() + i * length, length)
-                                       .cast<double>();
+      const Eigen::VectorXd left =
+          Field(a.const_data_ptr<float>() + i * length, length).cast<double>();
       for (int64_t j = 0; j < b.size(0); ++j) {
         const Field right(b.const_data_ptr<float>() + j * length, length);
         result(i, j) = left.dot(right.cast<double>());
@@ -42,9 +42,8 @@ at::Tensor combine(const Rows& weights, const at::Tensor& fields) {
   std::vector<int64_t> sizes = fields.sizes().vec();
   sizes.front() = single.rows();
   at::Tensor result = at::empty(sizes, at::kFloat);
-  kernels::combine_rows(single.data(), single.rows(), single.cols(),
-                        fields.const_data_ptr<float>(), fields.numel() / fields.size(0),
-                        result.data_ptr<float>());
+  kernels::combine_rows(single.data(), single.rows(), single.cols(), fields.const_data_ptr<float>(),
+                        fields.numel() / fields.size(0), result.data_ptr<float>());
   return result;
 }
 

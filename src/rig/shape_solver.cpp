@@ -7,8 +7,8 @@
 namespace freetalk::rig {
 namespace {
 
-constexpr int kSweeps = 200;         // at most
-constexpr double kSettled = 1e-6;    // largest change of a weight in the last sweep
+constexpr int kSweeps = 200;       // at most
+constexpr double kSettled = 1e-6;  // largest change of a weight in the last sweep
 
 int index_of(const std::vector<std::string>& names, const std::string& name) {
   const auto found = std::find(names.begin(), names.end(), name);
@@ -33,9 +33,9 @@ bool moves_sideways(const std::string& name) {
 /// Shapes of one side that undo each other.
 const std::vector<std::pair<std::string, std::string>>& opposites() {
   static const std::vector<std::pair<std::string, std::string>> pairs = {
-      {"eyeBlink", "eyeWide"},        {"eyeSquint", "eyeWide"},     {"browDown", "browOuterUp"},
-      {"mouthSmile", "mouthFrown"},   {"mouthPress", "mouthLowerDown"},
-      {"mouthPress", "mouthUpperUp"}};
+      {"eyeBlink", "eyeWide"},          {"eyeSquint", "eyeWide"},
+      {"browDown", "browOuterUp"},      {"mouthSmile", "mouthFrown"},
+      {"mouthPress", "mouthLowerDown"}, {"mouthPress", "mouthUpperUp"}};
   return pairs;
 }
 

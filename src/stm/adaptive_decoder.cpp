@@ -14,10 +14,11 @@ namespace {
 
 using Points = geometry::GreedyInterpolation::Points;
 
-constexpr int64_t kFirst = 16;          // frames decoded before the first check
-constexpr int64_t kChunk = 64;          // frames of a call to the sink
-constexpr int64_t kMotionSamples = 512; // vertices of which the mean motion is taken
-constexpr double kLength = 2.0;         // of the kernel, in spreads of the clip
+constexpr int64_t kFirst = 16;           // frames decoded before the first check
+constexpr int64_t kBatch = 8;            // frames of a check, at least
+constexpr int64_t kChunk = 64;           // frames of a call to the sink
+constexpr int64_t kMotionSamples = 512;  // vertices of which the mean motion is taken
+constexpr double kLength = 2.0;          // of the kernel, in spreads of the clip
 // Frames that are not checked may err more for their doubt than those that are: by a fifth in the
 // mean, and more at their worst vertex.
 constexpr double kMeanSafety = 1.2, kMaxSafety = 1.4;
@@ -25,16 +26,16 @@ constexpr double kMeanSafety = 1.2, kMaxSafety = 1.4;
 /// Landmark motion in mm about its mean.
 Points points_of(const at::Tensor& landmarks) {
   const at::Tensor flat = landmarks.to(at::kCPU, at::kDouble).flatten(1).contiguous();
-  Points points = 1e3 * Eigen::Map<const Points>(flat.const_data_ptr<double>(), flat.size(0),
-                                                 flat.size(1));
+  Points points =
+      1e3 * Eigen::Map<const Points>(flat.const_data_ptr<double>(), flat.size(0), flat.size(1));
   const Eigen::RowVectorXd mean = points.colwise().mean();
   points.rowwise() -= mean;
   return points;
 }
 
 geometry::PoseKernel kernel_of(const Points& points) {
-  const double spread =
-      std::sqrt(points.squaredNorm() / static_cast<double>(std::max<Eigen::Index>(points.rows(), 1)));
+  const double spread = std::sqrt(points.squaredNorm() /
+                                  static_cast<double>(std::max<Eigen::Index>(points.rows(), 1)));
   geometry::PoseKernel kernel;
   kernel.spread = std::max(spread, 1e-6);
   kernel.length = kLength * kernel.spread;
@@ -52,9 +53,8 @@ at::Tensor combine(const Points& weights, const at::Tensor& fields) {
         .view({single.rows(), fields.size(1), 3});
   }
   at::Tensor result = at::empty({single.rows(), fields.size(1), 3}, fields.options());
-  kernels::combine_rows(single.data(), single.rows(), single.cols(),
-                        fields.const_data_ptr<float>(), fields.size(1) * 3,
-                        result.data_ptr<float>());
+  kernels::combine_rows(single.data(), single.rows(), single.cols(), fields.const_data_ptr<float>(),
+                        fields.size(1) * 3, result.data_ptr<float>());
   return result;
 }
 
@@ -74,7 +74,7 @@ class Clip {
   bool check() {
     const int64_t before = decoded();
     const Eigen::VectorXd doubt = interpolation_.variance().cwiseSqrt();
-    grow(std::max<int64_t>(8, before / 4));
+    grow(std::max<int64_t>(kBatch, before / 8));
     const std::vector<int64_t>& nodes = interpolation_.nodes();
     if (static_cast<int64_t>(nodes.size()) == before) return false;
     const std::vector<int64_t> checked(nodes.begin() + before, nodes.end());
@@ -88,7 +88,8 @@ class Clip {
       const auto index = static_cast<int64_t>(k);
       errors += means[index].item<float>();
       doubts += doubt[checked[k]];
-      ratio = std::max(ratio, static_cast<double>(largest[index].item<float>()) / doubt[checked[k]]);
+      ratio =
+          std::max(ratio, static_cast<double>(largest[index].item<float>()) / doubt[checked[k]]);
     }
     largest_per_doubt_ = std::max(ratio, last_ratio_);  // of two checks: one holds few frames
     last_ratio_ = ratio;

@@ -85,7 +85,7 @@ nn::FrameInputs FrameDecoder::inputs_of(const at::Tensor& landmarks) const {
       frames[static_cast<size_t>(t)] = model_->frame_inputs(landmarks.narrow(0, t, 1));
     }
   });
-  const auto join = [&frames](at::Tensor nn::FrameInputs::* field) {
+  const auto join = [&frames](at::Tensor nn::FrameInputs::*field) {
     if (!(frames.front().*field).defined()) return at::Tensor();
     std::vector<at::Tensor> parts;
     for (const nn::FrameInputs& frame : frames) parts.push_back(frame.*field);

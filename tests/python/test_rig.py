@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from test_stm_ablations import SHIPPED
 
 from freetalk.corpus.assets import load_expression_take, load_face_model
 from freetalk.corpus.topologies import crop, decimate
 from freetalk.geometry import surface_operators
 from freetalk.rig import FaceRig, RigPoses, SolveState
 from freetalk.stm import FrameDecoder, Stm, decode_adaptively
-from test_stm_ablations import SHIPPED
 
 POSES = Path(SHIPPED).parent / "rig_poses.safetensors"
 
@@ -114,7 +114,9 @@ def test_a_rig_comes_back_from_its_file(rig: FaceRig, motion: torch.Tensor, tmp_
 
 
 def test_files_that_are_no_rig_are_named(tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError, match=r"rig_poses\.safetensors: expected freetalk-rig version"):
+    with pytest.raises(
+        RuntimeError, match=r"rig_poses\.safetensors: expected freetalk-rig version"
+    ):
         FaceRig.load(POSES)
     with pytest.raises(RuntimeError, match="missing"):
         FaceRig.load(tmp_path / "missing.safetensors")
@@ -128,9 +130,7 @@ def test_an_exception_in_progress_stops_the_build(decoder: FrameDecoder) -> None
         FaceRig.build(decoder.decode, POSES, progress=stop, poses=0)
 
 
-def test_few_frames_stay_within_the_tolerances(
-    decoder: FrameDecoder, motion: torch.Tensor
-) -> None:
+def test_few_frames_stay_within_the_tolerances(decoder: FrameDecoder, motion: torch.Tensor) -> None:
     exact = decoder.decode(motion)
     few, report = decode_adaptively(decoder, motion)
     error = (few - exact).norm(dim=-1)

@@ -34,18 +34,18 @@ struct RigPoses {
 };
 
 struct RigOptions {
-  int64_t poses = 100;          // of the library that are decoded, at most
+  int64_t poses = 100;           // of the library that are decoded, at most
   int64_t max_correctives = 32;  // fields; each gives two targets
   double tolerance_mm = 0.02;    // root mean square of what the correctives leave of the poses
   // Weights of the solver's terms, mm^2 over all landmarks:
-  double l2 = 1.0;         // sum of w^2
-  double l1 = 0.5;         // sum of w
-  double symmetry = 5.0;   // (w_left - w_right)^2
-  double cancel = 20.0;    // w_a w_b of shapes that undo each other
-  double temporal = 0.0;   // (w - w of the frame before)^2
+  double l2 = 1.0;        // sum of w^2
+  double l1 = 0.5;        // sum of w
+  double symmetry = 5.0;  // (w_left - w_right)^2
+  double cancel = 20.0;   // w_a w_b of shapes that undo each other
+  double temporal = 0.0;  // (w - w of the frame before)^2
   std::vector<std::string> disabled = {
-      "eyeLookDownLeft", "eyeLookInLeft", "eyeLookOutLeft", "eyeLookUpLeft", "eyeLookDownRight",
-      "eyeLookInRight", "eyeLookOutRight", "eyeLookUpRight"};  // shapes whose weight stays zero
+      "eyeLookDownLeft", "eyeLookInLeft",   "eyeLookOutLeft", "eyeLookUpLeft", "eyeLookDownRight",
+      "eyeLookInRight",  "eyeLookOutRight", "eyeLookUpRight"};  // shapes whose weight stays zero
   template <class V>
   void fields(V& v) {
     v("poses", poses);
@@ -115,8 +115,8 @@ class FaceRig {
   std::vector<std::string> names_;
   RigOptions options_;
   at::Tensor targets_;
-  at::Tensor shapes_;       // (S, 68, 3) float32 m
-  at::Tensor nodes_;        // (N, 68, 3) float32 m: decoded poses, in the order of interpolation
+  at::Tensor shapes_;        // (S, 68, 3) float32 m
+  at::Tensor nodes_;         // (N, 68, 3) float32 m: decoded poses, in the order of interpolation
   at::Tensor node_fields_;   // (N, C) float64: the nodes' displacements in the corrective fields
   at::Tensor shape_fields_;  // (S, C) float64: the shape targets in the corrective fields
   at::Tensor scales_;        // (C,) float64: value of a field at weight one

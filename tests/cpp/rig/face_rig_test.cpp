@@ -31,12 +31,12 @@ at::Tensor decode(const at::Tensor& landmarks) {
 /// Six shapes with ARKit's names and poses that mix them.
 RigPoses poses_of(int64_t count) {
   RigPoses poses;
-  poses.names = {"jawOpen",    "mouthSmileLeft", "mouthSmileRight",
-                 "eyeWideLeft", "jawLeft",       "jawRight"};
+  poses.names = {"jawOpen",     "mouthSmileLeft", "mouthSmileRight",
+                 "eyeWideLeft", "jawLeft",        "jawRight"};
   poses.shapes = 0.004 * random({6, 68, 3}, 4);
   const at::Tensor weights = torch::rand({count, 6}, core::make_generator(5));
-  poses.library = torch::einsum("pw,wlc->plc", {weights, poses.shapes}) +
-                  0.0003 * random({count, 68, 3}, 6);
+  poses.library =
+      torch::einsum("pw,wlc->plc", {weights, poses.shapes}) + 0.0003 * random({count, 68, 3}, 6);
   return poses;
 }
 
@@ -65,8 +65,7 @@ TEST(FaceRig, DecodedPosesComeBack) {
   const at::Tensor exact = decode(poses.library);
   const at::Tensor error = (rig().vertices(rig().solve(poses.library)) - exact).norm(2, -1);
   // What the correctives leave of the poses, plus rounding.
-  EXPECT_LE(1e3 * error.square().mean().sqrt().item<double>(),
-            2 * rig().options().tolerance_mm);
+  EXPECT_LE(1e3 * error.square().mean().sqrt().item<double>(), 2 * rig().options().tolerance_mm);
 }
 
 TEST(FaceRig, CorrectivesBringUnseenMotionCloser) {
@@ -127,8 +126,8 @@ TEST(FaceRig, ComesBackFromItsFile) {
   const FaceRig read = FaceRig::load(folder / "rig.safetensors");
   EXPECT_EQ(read.names(), rig().names());
   const at::Tensor landmarks = motion(5, 17);
-  EXPECT_TRUE(at::equal(read.vertices(read.solve(landmarks)),
-                        rig().vertices(rig().solve(landmarks))));
+  EXPECT_TRUE(
+      at::equal(read.vertices(read.solve(landmarks)), rig().vertices(rig().solve(landmarks))));
   std::filesystem::remove_all(folder);
 }
 

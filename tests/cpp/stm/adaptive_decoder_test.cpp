@@ -60,9 +60,9 @@ class AdaptiveDecoder : public testing::Test {
   static at::Tensor speech_like(int64_t frames) {
     const at::Tensor modes = 0.003 * torch::randn({4, 68, 3}, core::make_generator(4));
     const at::Tensor time = torch::arange(frames) / 30.0;
-    const at::Tensor rhythm = torch::stack(
-        {torch::sin(7 * time), torch::sin(11.3 * time), torch::cos(4.1 * time),
-         torch::sin(17.7 * time)}, 1);
+    const at::Tensor rhythm = torch::stack({torch::sin(7 * time), torch::sin(11.3 * time),
+                                            torch::cos(4.1 * time), torch::sin(17.7 * time)},
+                                           1);
     return torch::einsum("tm,mlc->tlc", {rhythm, modes}).contiguous();
   }
 
