@@ -24,7 +24,7 @@ if torch.__version__.split("+")[0] != _native.torch_version.split("+")[0]:
 __version__: str = _native.__version__
 
 if TYPE_CHECKING:
-    from freetalk import ats, diffusion, geometry, mesh, metrics, nn, speech, stm
+    from freetalk import ats, diffusion, geometry, mesh, metrics, nn, rig, speech, stm
     from freetalk.animation import Animation
     from freetalk.audio import Audio, load_audio
     from freetalk.mesh import Mesh, load_mesh
@@ -50,6 +50,7 @@ _ROOMS = (
     "mesh",
     "metrics",
     "nn",
+    "rig",
     "speech",
     "stm",
     "talker",
@@ -71,6 +72,7 @@ __all__ = [
     "mesh",
     "metrics",
     "nn",
+    "rig",
     "speech",
     "stm",
 ]

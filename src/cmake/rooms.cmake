@@ -79,14 +79,14 @@ freetalk_add_room(core TORCH module_io random safetensors scratch HEADERS_OF ${j
 freetalk_add_room(audio USES core LINKS PkgConfig::sndfile PkgConfig::samplerate)
 freetalk_add_room(kernels USES core)
 freetalk_add_room(mesh USES core LINKS freetalk::openmesh HEADERS_OF ${json})
-freetalk_add_room(geometry USES core kernels mesh TORCH operator_cache operators operators_batch poisson
+freetalk_add_room(geometry USES core kernels mesh TORCH combine_fields operator_cache operators operators_batch poisson
                   tensor_conversion LINKS Threads::Threads HEADERS_OF Spectra::Spectra ${json})
 freetalk_add_room(nn USES core kernels mesh geometry TORCH ALL)
 freetalk_add_room(speech USES audio nn kernels core TORCH ALL HEADERS_OF ${json})
 freetalk_add_room(diffusion USES core TORCH ALL)
 freetalk_add_room(ats USES speech diffusion nn core TORCH ALL HEADERS_OF ${json})
-freetalk_add_room(stm USES nn kernels geometry core TORCH ALL HEADERS_OF ${json})
-freetalk_add_room(rig USES geometry kernels core TORCH ALL)
+freetalk_add_room(stm USES nn geometry core TORCH ALL HEADERS_OF ${json})
+freetalk_add_room(rig USES geometry core TORCH ALL)
 freetalk_add_room(metrics USES core TORCH ALL)
 freetalk_add_room(animation USES audio mesh geometry core TORCH ALL HEADERS_OF ${json})
 freetalk_add_room(talker USES animation rig stm ats speech diffusion nn geometry mesh audio core

@@ -81,7 +81,7 @@ at::Tensor principal_fields(const at::Tensor& left, const RigOptions& options) {
     weights.row(static_cast<Eigen::Index>(c)) =
         mode.transpose() / std::sqrt(solved.eigenvalues()[chosen[c]]);
   }
-  return combine(weights, left);
+  return geometry::combine_fields(weights, left);
 }
 
 std::string numbered(int64_t index, const char* sign) {
@@ -113,7 +113,8 @@ FaceRig FaceRig::build(const Decode& decode, const RigPoses& poses, const RigOpt
     solver.solve(points.row(n).transpose(), of_pose);
     weights.row(n) = Eigen::Map<const Eigen::RowVectorXd>(of_pose.data(), shapes);
   }
-  const at::Tensor fields = principal_fields(decoded - combine(weights, targets), options);
+  const at::Tensor fields =
+      principal_fields(decoded - geometry::combine_fields(weights, targets), options);
   const int64_t count = fields.size(0);
   Rows node_fields(points.rows(), count), shape_fields(shapes, count);
   if (count > 0) {

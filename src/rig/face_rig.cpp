@@ -112,7 +112,7 @@ at::Tensor FaceRig::solve(const at::Tensor& landmarks, SolveState* state) const 
 at::Tensor FaceRig::vertices(const at::Tensor& weights) const {
   FREETALK_CHECK(weights.dim() == 2 && weights.size(1) == targets_.size(0),
                  "rig: weights must be (T, ", targets_.size(0), "), found ", weights.sizes());
-  return combine(to_rows(weights), targets_);
+  return geometry::combine_fields(to_rows(weights), targets_);
 }
 
 }  // namespace freetalk::rig

@@ -3,7 +3,6 @@
 #include <ATen/ATen.h>
 
 #include "core/parallel.h"
-#include "kernels/combine_rows.h"
 
 namespace freetalk::rig {
 
@@ -33,17 +32,6 @@ Rows products(const at::Tensor& a, const at::Tensor& b) {
       }
     }
   });
-  return result;
-}
-
-at::Tensor combine(const Rows& weights, const at::Tensor& fields) {
-  const Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> single =
-      weights.cast<float>();
-  std::vector<int64_t> sizes = fields.sizes().vec();
-  sizes.front() = single.rows();
-  at::Tensor result = at::empty(sizes, at::kFloat);
-  kernels::combine_rows(single.data(), single.rows(), single.cols(), fields.const_data_ptr<float>(),
-                        fields.numel() / fields.size(0), result.data_ptr<float>());
   return result;
 }
 

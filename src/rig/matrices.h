@@ -4,7 +4,7 @@
 #include <ATen/core/Tensor.h>
 #include <Eigen/Core>
 
-#include "geometry/greedy_interpolation.h"
+#include "geometry/combine_fields.h"
 
 namespace freetalk::rig {
 
@@ -18,7 +18,5 @@ at::Tensor to_tensor(const Rows& rows);
 
 /// (N, M) scalar products of fields (N, ...) and (M, ...) float32, summed in double in one order.
 Rows products(const at::Tensor& a, const at::Tensor& b);
-/// (T, ...) = weights (T, N) times fields (N, ...) float32.
-at::Tensor combine(const Rows& weights, const at::Tensor& fields);
 
 }  // namespace freetalk::rig

@@ -6,12 +6,12 @@
 #include <cmath>
 
 #include "freetalk/core/error.h"
-#include "geometry/greedy_interpolation.h"
-#include "kernels/combine_rows.h"
+#include "geometry/combine_fields.h"
 
 namespace freetalk::stm {
 namespace {
 
+using geometry::combine_fields;
 using Points = geometry::GreedyInterpolation::Points;
 
 constexpr int64_t kFirst = 16;           // frames decoded before the first check
@@ -42,22 +42,6 @@ geometry::PoseKernel kernel_of(const Points& points) {
   return kernel;
 }
 
-/// (T, n) weights times (n, V, 3) fields.
-at::Tensor combine(const Points& weights, const at::Tensor& fields) {
-  const Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> single =
-      weights.cast<float>();
-  const at::Tensor factors =
-      at::from_blob(const_cast<float*>(single.data()), {single.rows(), single.cols()}, at::kFloat);
-  if (!fields.is_cpu()) {
-    return at::mm(factors.to(fields.device()), fields.flatten(1))
-        .view({single.rows(), fields.size(1), 3});
-  }
-  at::Tensor result = at::empty({single.rows(), fields.size(1), 3}, fields.options());
-  kernels::combine_rows(single.data(), single.rows(), single.cols(), fields.const_data_ptr<float>(),
-                        fields.size(1) * 3, result.data_ptr<float>());
-  return result;
-}
-
 /// A clip, the frames decoded so far and what they say about the others.
 class Clip {
  public:
@@ -80,7 +64,7 @@ class Clip {
     const std::vector<int64_t> checked(nodes.begin() + before, nodes.end());
     const at::Tensor exact = decode(nodes, before);
     const at::Tensor error =
-        (combine(interpolation_.weights(checked, before), fields_) - exact).norm(2, -1);
+        (combine_fields(interpolation_.weights(checked, before), fields_) - exact).norm(2, -1);
     const at::Tensor means = error.mean(1).cpu(), largest = error.amax(1).cpu();
     double errors = 0.0, doubts = 0.0;
     double ratio = 0.0;
@@ -103,8 +87,10 @@ class Clip {
     const Eigen::VectorXd doubt = interpolation_.variance().cwiseSqrt();
     const int64_t step = std::max<int64_t>(1, fields_.size(1) / kMotionSamples);
     const at::Tensor sampled = fields_.slice(1, 0, std::nullopt, step).contiguous();
-    const double motion =
-        combine(interpolation_.weights(decoded()), sampled).norm(2, -1).mean().item<double>();
+    const double motion = combine_fields(interpolation_.weights(decoded()), sampled)
+                              .norm(2, -1)
+                              .mean()
+                              .item<double>();
     report.decoded = decoded();
     report.mean_error = kMeanSafety * mean_per_doubt_ * doubt.mean() / std::max(motion, 1e-9);
     report.max_error_mm = kMaxSafety * 1e3 * largest_per_doubt_ * doubt.maxCoeff();
@@ -119,7 +105,7 @@ class Clip {
     }
     for (int64_t first = 0; first < landmarks_.size(0); first += kChunk) {
       const int64_t count = std::min(kChunk, landmarks_.size(0) - first);
-      sink(first, combine(weights.middleRows(first, count), fields_));
+      sink(first, combine_fields(weights.middleRows(first, count), fields_));
     }
   }
 

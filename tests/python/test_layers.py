@@ -20,14 +20,9 @@ ROOMS: dict[str, set[str]] = {
     "nn": {"core", "kernels", "mesh", "geometry"},
     "speech": {"core", "audio", "kernels", "nn"},
     "diffusion": {"core"},
-<<<<<<< HEAD
     "ats": {"core", "speech", "diffusion", "nn"},
     "stm": {"core", "nn", "geometry"},
-=======
-    "ats": {"core", "speech", "diffusion", "kernels", "nn"},
-    "stm": {"core", "kernels", "nn", "geometry"},
-    "rig": {"core", "kernels", "geometry"},
->>>>>>> a2ab6fd (Adaptive decoding: a few frames of a clip by STM, the rest interpolated over the landmarks)
+    "rig": {"core", "geometry"},
     "facetalk": {"core", "speech", "diffusion", "nn", "geometry"},
     "metrics": {"core"},
     "animation": {"core", "audio", "mesh", "geometry"},
