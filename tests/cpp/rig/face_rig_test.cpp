@@ -28,23 +28,20 @@ at::Tensor decode(const at::Tensor& landmarks) {
       .view({-1, kVertices, 3});
 }
 
-/// Six shapes with ARKit's names and poses that mix them.
-RigPoses poses_of(int64_t count) {
-  RigPoses poses;
-  poses.names = {"jawOpen",     "mouthSmileLeft", "mouthSmileRight",
-                 "eyeWideLeft", "jawLeft",        "jawRight"};
-  poses.shapes = 0.004 * random({6, 68, 3}, 4);
-  const at::Tensor weights = torch::rand({count, 6}, core::make_generator(5));
-  poses.library =
-      torch::einsum("pw,wlc->plc", {weights, poses.shapes}) + 0.0003 * random({count, 68, 3}, 6);
-  return poses;
+at::Tensor shapes() { return 0.004 * random({6, 68, 3}, 4); }
+
+/// Mixtures of the shapes and of five modes that no shape has.
+at::Tensor motion(int64_t frames, uint64_t seed) {
+  const at::Tensor weights = torch::rand({frames, 6}, core::make_generator(seed));
+  const at::Tensor others = 0.0006 * random({5, 68, 3}, 6);
+  return torch::einsum("pw,wlc->plc", {weights, shapes()}) +
+         torch::einsum("pw,wlc->plc", {random({frames, 5}, seed + 1), others});
 }
 
-at::Tensor motion(int64_t frames, uint64_t seed) {
-  const RigPoses poses = poses_of(1);
-  const at::Tensor weights = torch::rand({frames, 6}, core::make_generator(seed));
-  return torch::einsum("pw,wlc->plc", {weights, poses.shapes}) +
-         0.0003 * random({frames, 68, 3}, seed + 1);
+RigPoses poses_of(int64_t count) {
+  return {{"jawOpen", "mouthSmileLeft", "mouthSmileRight", "eyeWideLeft", "jawLeft", "jawRight"},
+          shapes(),
+          motion(count, 20)};
 }
 
 const FaceRig& rig() {
