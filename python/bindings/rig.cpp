@@ -25,7 +25,8 @@ void bind_rig(py::module_& m) {
       .def_readonly("names", &fr::RigPoses::names)
       .def_readonly("shapes", &fr::RigPoses::shapes)
       .def_readonly("library", &fr::RigPoses::library);
-  py::class_<fr::SolveState>(m, "SolveState", "What a stream carries from frame to frame.")
+  py::class_<fr::SolveState, std::shared_ptr<fr::SolveState>>(
+      m, "SolveState", "What a stream carries from frame to frame.")
       .def(py::init<>())
       .def_readonly("shapes", &fr::SolveState::shapes);
   py::class_<fr::FaceRig, std::shared_ptr<fr::FaceRig>>(m, "FaceRig",
@@ -42,7 +43,12 @@ void bind_rig(py::module_& m) {
       .def_property_readonly("num_shapes", &fr::FaceRig::num_shapes)
       .def_property_readonly("num_vertices", &fr::FaceRig::num_vertices)
       .def_property_readonly("options", &fr::FaceRig::options)
-      .def("solve", &fr::FaceRig::solve, py::arg("landmarks"), py::arg("state") = py::none(),
-           NoGil())
+      .def(
+          "solve",
+          [](const fr::FaceRig& self, const at::Tensor& landmarks,
+             const std::optional<std::shared_ptr<fr::SolveState>>& state) {
+            return self.solve(landmarks, state ? state->get() : nullptr);
+          },
+          py::arg("landmarks"), py::arg("state") = py::none(), NoGil())
       .def("vertices", &fr::FaceRig::vertices, py::arg("weights"), NoGil());
 }

@@ -12,6 +12,7 @@ from . import speech
 from . import diffusion
 from . import ats
 from . import stm
+from . import rig
 from . import metrics
 from . import animation
 from . import talker
@@ -26,6 +27,7 @@ __all__: list[str] = [
     "mesh",
     "metrics",
     "nn",
+    "rig",
     "speech",
     "stm",
     "talker",

@@ -3,7 +3,16 @@ import freetalk._native.geometry
 import torch
 import typing
 
-__all__: list[str] = ["DecodeOptions", "FrameDecoder", "MeshFeatures", "StmImpl", "StmOptions"]
+__all__: list[str] = [
+    "AdaptiveOptions",
+    "AdaptiveReport",
+    "DecodeOptions",
+    "FrameDecoder",
+    "MeshFeatures",
+    "StmImpl",
+    "StmOptions",
+    "decode_adaptively",
+]
 
 class StmOptions:
     """
@@ -122,3 +131,43 @@ class FrameDecoder:
         """
         (T, V, 3) displacements in metres.
         """
+
+class AdaptiveOptions:
+    """
+    Tolerances of decode_adaptively.
+    """
+
+    __hash__: typing.ClassVar[None] = None
+    tolerance_mean: typing.Any
+    tolerance_mm: typing.Any
+    @staticmethod
+    def from_dict(arg0: dict) -> AdaptiveOptions:
+        """
+        Options from a mapping; an unknown key is a ValueError naming the nearest known one.
+        """
+    def __eq__(self, arg0: AdaptiveOptions) -> bool: ...
+    def __getstate__(self) -> tuple[str]: ...
+    def __init__(self, **kwargs) -> None: ...
+    def __repr__(self) -> str: ...
+    def __setstate__(self, arg0: tuple) -> None: ...
+    def to_dict(self) -> dict:
+        """
+        All fields by name.
+        """
+
+class AdaptiveReport:
+    """
+    What decode_adaptively decoded.
+    """
+    @property
+    def decoded(self) -> int: ...
+    @property
+    def frames(self) -> int: ...
+    @property
+    def max_error_mm(self) -> float: ...
+    @property
+    def mean_error(self) -> float: ...
+
+def decode_adaptively(
+    decoder: FrameDecoder, landmarks: torch.Tensor, *, options: AdaptiveOptions = ...
+) -> tuple[torch.Tensor, AdaptiveReport]: ...
