@@ -29,7 +29,8 @@ import freetalk
 from freetalk.ats import Ats, GenerateOptions, generate
 from freetalk.corpus.assets import load_clips, load_face_model
 from freetalk.corpus.topologies import TOPOLOGIES
-from freetalk.geometry import align_to_template, connected_components, load_mesh, surface_operators
+from freetalk.geometry import align_to_template, surface_operators
+from freetalk.mesh import connected_components, load_mesh
 from freetalk.rig import FaceRig
 from freetalk.speech import SpeechEncoder, encode_speech
 from freetalk.stm import FrameDecoder, Stm, decode_adaptively
