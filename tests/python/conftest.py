@@ -8,6 +8,30 @@ from pathlib import Path
 
 import pytest
 
+#: Files whose tests train networks, build corpora, install the package, render or type-check everything. The rest is
+#: the quick subset, ``pytest -m "not slow"``; single slow tests elsewhere carry the mark themselves.
+SLOW_FILES = {
+    *("test_corpus", "test_corpus_topologies", "test_data_training", "test_demo", "test_install"),
+    *(
+        "test_package",
+        "test_pretrained",
+        "test_stubs",
+        "test_tables",
+        "test_viseme_probe",
+        "test_viz",
+    ),
+    *("test_train", "test_train_checkpoint", "test_train_cuts", "test_train_diffusion_steps"),
+    *("test_train_features", "test_train_initial", "test_train_mosaic", "test_train_processes"),
+    *("test_train_recordings", "test_train_samples", "test_evaluate", "test_nasty_meshes"),
+}
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Marks the tests of ``SLOW_FILES``."""
+    for item in items:
+        if item.path.stem in SLOW_FILES:
+            item.add_marker(pytest.mark.slow)
+
 
 @pytest.fixture
 def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
