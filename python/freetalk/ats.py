@@ -47,6 +47,7 @@ class Ats(NativeModule):
         valid: torch.Tensor | None = None,
         drop_audio: torch.Tensor | None = None,
         drop_affect: torch.Tensor | None = None,
+        first_position: torch.Tensor | None = None,
     ) -> torch.Tensor:
         """The estimate of the clean motion.
 
@@ -60,6 +61,8 @@ class Ats(NativeModule):
             valid: (B, T) bool, false on padding.
             drop_audio: (B,) bool, true where the audio is replaced by the learned null (guidance).
             drop_affect: (B,) bool, likewise for emotion and intensity.
+            first_position: (B,) int64 learned position of each first frame, in
+                [0, max_frames - T]; None is 0.
 
         Returns:
             (B, T, 204) normalised displacements.
@@ -76,6 +79,7 @@ class Ats(NativeModule):
             valid=valid,
             drop_audio=drop_audio,
             drop_affect=drop_affect,
+            first_position=first_position,
         )
 
     def normalize(self, motion: torch.Tensor) -> torch.Tensor:

@@ -21,6 +21,9 @@ void AtsOptions::check() const {
   FREETALK_CHECK(num_layers > 0, "num_layers must be positive, found ", num_layers);
   FREETALK_CHECK(audio_dim > 0, "audio_dim must be positive, found ", audio_dim);
   FREETALK_CHECK(max_frames > 1, "max_frames must be at least 2, found ", max_frames);
+  FREETALK_CHECK(trained_frames >= 0 && trained_frames <= max_frames,
+                 "trained_frames must be between 0 and max_frames = ", max_frames, ", found ",
+                 trained_frames);
   FREETALK_CHECK(band_radius >= -1, "band_radius must be >= 0, or -1 for no band, found ",
                  band_radius);
   FREETALK_CHECK(attention_start == "local" || attention_start == "random",
@@ -108,6 +111,9 @@ void AtsImpl::check_inputs(const at::Tensor& x, const at::Tensor& timestep,
   if (condition.valid.defined()) expect("valid", condition.valid, {batch, frames});
   if (condition.drop_audio.defined()) expect("drop_audio", condition.drop_audio, {batch});
   if (condition.drop_affect.defined()) expect("drop_affect", condition.drop_affect, {batch});
+  if (condition.first_position.defined()) {
+    expect("first_position", condition.first_position, {batch});
+  }
 }
 
 at::Tensor AtsImpl::time_code(const at::Tensor& timestep) {
@@ -138,7 +144,16 @@ at::Tensor AtsImpl::audio_memory(const Condition& condition) {
   if (condition.drop_audio.defined()) {
     audio = at::where(condition.drop_audio.view({-1, 1, 1}), null_audio_, audio);
   }
-  return memory_proj_(audio) + memory_positions_.narrow(0, 0, audio.size(1));
+  return memory_proj_(audio) + positions_of(memory_positions_, condition);
+}
+
+at::Tensor AtsImpl::positions_of(const at::Tensor& table, const Condition& condition) const {
+  const int64_t frames = condition.audio.size(1);
+  const at::Tensor& first = condition.first_position;
+  if (!first.defined()) return table.narrow(0, 0, frames);
+  // Padding may reach beyond the table; nobody reads it.
+  const at::Tensor index = first.unsqueeze(1) + at::arange(frames, first.options());
+  return at::embedding(table, index.clamp_max(table.size(0) - 1));
 }
 
 at::Tensor AtsImpl::forward(const at::Tensor& x, const at::Tensor& timestep,
@@ -156,7 +171,7 @@ at::Tensor AtsImpl::forward(const at::Tensor& x, const at::Tensor& timestep,
     cross_allowed = key_valid.logical_and(cross_allowed).logical_or(itself);
   }
   const at::Tensor memory = audio_memory(condition);
-  at::Tensor z = input_proj_(x) + target_positions_.narrow(0, 0, frames) +
+  at::Tensor z = input_proj_(x) + positions_of(target_positions_, condition) +
                  time_code(timestep).unsqueeze(1) + affect_code(condition);
   for (nn::TransformerDecoderLayer& layer : layers_)
     z = layer(z, memory, self_allowed, cross_allowed);

@@ -90,7 +90,7 @@ at::Tensor generate(Ats& model, const at::Tensor& features, const Affect& affect
   check_inputs(own, features, affect, generators);
   const diffusion::Schedule schedule(own.schedule_options());
   const auto sampling = options.sampler_options();
-  const WindowPlan plan = plan_windows(features.size(0), own.max_frames, options);
+  const WindowPlan plan = plan_windows(features.size(0), own.window_frames(), options);
   const auto dtype = options.precision == "bfloat16" ? at::kBFloat16 : features.scalar_type();
   AtsInference network(*model, diffusion::sampler_timesteps(schedule, sampling), plan.window, dtype,
                        plan.window * std::min<int64_t>(static_cast<int64_t>(plan.groups[0].size()),

@@ -37,7 +37,10 @@ struct AtsOptions {
   std::string activation = "gelu";  // unstated; "gelu" or "relu"
   int64_t audio_dim = 768;          // C, channels of the speech features
   int64_t max_frames = 600;  // learned positions; longer motion is generated in overlapping windows
-  int64_t band_radius = 3;   // r of Eq. 9, frames; unstated in the paper; -1: no band
+  /// Longest motion that training showed, within max_frames: windows of generation are no longer.
+  /// 0: max_frames. Written by training.
+  int64_t trained_frames = 0;
+  int64_t band_radius = 3;  // r of Eq. 9, frames; unstated in the paper; -1: no band
   /// First weights of positions and attention, unstated in the paper: "local" (each head at frames
   /// near its own, see nn/local_start.h) or "random".
   std::string attention_start = "local";
@@ -61,6 +64,7 @@ struct AtsOptions {
     v("activation", activation);
     v("audio_dim", audio_dim);
     v("max_frames", max_frames);
+    v("trained_frames", trained_frames);
     v("band_radius", band_radius);
     v("attention_start", attention_start);
     v("num_intensities", num_intensities);
@@ -72,6 +76,8 @@ struct AtsOptions {
     v("beta_end", beta_end);
   }
   void check() const;
+  /// Frames of a window of generation.
+  int64_t window_frames() const { return trained_frames > 0 ? trained_frames : max_frames; }
   diffusion::ScheduleOptions schedule_options() const;
 };
 
@@ -87,6 +93,9 @@ struct Condition {
   at::Tensor valid;        // (B, T) bool, false on padding; undefined: all valid
   at::Tensor drop_audio;   // (B,) bool, true: the learned null audio (guidance); undefined: none
   at::Tensor drop_affect;  // (B,) bool, true: the learned null affect; undefined: none
+  /// (B,) int64, learned position of the first frame, so that training reaches positions that its
+  /// sequences are too short for: in [0, max_frames - T]; undefined: 0.
+  at::Tensor first_position;
 };
 
 class AtsImpl : public torch::nn::Module {
@@ -114,6 +123,8 @@ class AtsImpl : public torch::nn::Module {
   at::Tensor time_code(const at::Tensor& timestep);
   at::Tensor affect_code(const Condition& condition);  // (B, 1, d) or (B, T, d)
   at::Tensor audio_memory(const Condition& condition);
+  /// (T, d), or (B, T, d) where the windows begin at different positions.
+  at::Tensor positions_of(const at::Tensor& table, const Condition& condition) const;
 
   AtsOptions options_;
   torch::nn::Linear input_proj_{nullptr}, memory_proj_{nullptr}, output_proj_{nullptr};

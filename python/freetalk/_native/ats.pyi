@@ -37,6 +37,7 @@ class AtsOptions:
     num_layers: typing.Any
     num_train_steps: typing.Any
     schedule: typing.Any
+    trained_frames: typing.Any
     @staticmethod
     def from_dict(arg0: dict) -> AtsOptions:
         """
@@ -66,6 +67,7 @@ class AtsImpl:
         valid: torch.Tensor | None = None,
         drop_audio: torch.Tensor | None = None,
         drop_affect: torch.Tensor | None = None,
+        first_position: torch.Tensor | None = None,
     ) -> torch.Tensor: ...
     def named_buffers(self) -> list[tuple[str, torch.Tensor]]: ...
     def named_parameters(self) -> list[tuple[str, torch.Tensor]]: ...

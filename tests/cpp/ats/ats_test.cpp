@@ -41,6 +41,27 @@ AtsOptions untrained_options() {
   return options;
 }
 
+TEST(Ats, FirstPositionShiftsBothTables) {
+  torch::manual_seed(0);
+  Ats model(small_options());
+  model->eval();
+  const torch::NoGradGuard no_grad;
+  Condition condition = condition_for(2, 6);
+  const at::Tensor x = random_motion(2, 6), step = torch::tensor({999, 3});
+  const at::Tensor at_zero = model(x, step, condition);
+  condition.first_position = torch::tensor({5, 0});
+  const at::Tensor shifted = model(x, step, condition);
+  EXPECT_TRUE(torch::allclose(shifted[1], at_zero[1], 1e-5, 1e-6));
+  auto parameters = model->named_parameters();
+  for (const char* name : {"target_positions", "memory_positions"}) {
+    parameters[name].copy_(parameters[name].roll(-5, 0));
+  }
+  condition.first_position = {};
+  const at::Tensor rolled = model(x, step, condition);
+  EXPECT_TRUE(torch::allclose(shifted[0], rolled[0], 1e-5, 1e-6));  // float32 rounding
+  EXPECT_FALSE(torch::allclose(shifted[0], at_zero[0], 1e-3, 1e-3));
+}
+
 // What frame 20 of the estimate owes to each frame of the speech, before any training.
 TEST(Ats, StartsWithTheSpeechOfItsOwnFrame) {
   torch::manual_seed(0);

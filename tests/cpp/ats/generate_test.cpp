@@ -115,6 +115,24 @@ TEST(Generate, SameSeedSameMotionAnyLength) {
 }
 
 // The whole of it, written out over the layers that training uses.
+TEST(Generate, UsesNoPositionBeyondTheTrainedFrames) {
+  AtsOptions options = small_options();
+  options.trained_frames = 8;
+  Ats model = make_model(options);
+  const at::Tensor features = features_of(30), emotion = torch::eye(3)[1];
+  const GenerateOptions sampling{.num_steps = 3, .window_overlap = 2};
+  const auto motion = [&] {
+    return generate(model, features, emotion, 2.0, sampling, core::make_generator(5));
+  };
+  const at::Tensor before = motion();
+  const torch::NoGradGuard no_grad;
+  auto parameters = model->named_parameters();
+  for (const char* name : {"target_positions", "memory_positions"}) {
+    parameters[name].narrow(0, 8, 12).fill_(100.0);
+  }
+  EXPECT_TRUE(torch::equal(motion(), before));
+}
+
 TEST(Generate, IsGuidedDiffusionOverTheModel) {
   Ats model = make_model(sampling_options());
   const torch::NoGradGuard no_grad;
