@@ -5,6 +5,7 @@ EmoVOCA, MEAD-EMOTE, the open corpus, or a plain folder of one's own; ``open_dat
 wrong with a folder is raised by name (:mod:`freetalk.data.errors`), and ``check_dataset`` tells all of it.
 """
 
+from freetalk.data.at_rate import AtRate
 from freetalk.data.catalogue import KINDS, open_dataset, open_datasets, parse_spec
 from freetalk.data.check import DatasetReport, check_dataset
 from freetalk.data.dataset import EMOTIONS, NUM_LANDMARKS, FaceMesh, MotionDataset, MotionSequence
@@ -31,6 +32,7 @@ __all__ = [
     "EMOTIONS",
     "KINDS",
     "NUM_LANDMARKS",
+    "AtRate",
     "DatasetError",
     "DatasetReport",
     "FaceMesh",

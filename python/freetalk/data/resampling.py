@@ -2,13 +2,41 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import numpy.typing as npt
+from scipy.signal import resample_poly
 
 FloatArray = npt.NDArray[np.float32]
 
 #: Frame numbers this close below a whole one count as it: they come from divisions.
 _TOLERANCE = 1e-6
+#: Frame rates as fractions of whole numbers: 29.97 is 2997 / 100.
+_RATE_DENOMINATOR = 1001
+
+
+def frames_at(num_frames: int, fps: float, rate: float) -> int:
+    """Frames at `rate` whose times lie within `num_frames` at `fps`."""
+    return int((num_frames - 1) * rate / fps + _TOLERANCE) + 1
+
+
+def resample_frames(values: FloatArray, fps: float, rate: float) -> FloatArray:
+    """Motion (T, ...) at `fps` as it is at `rate`, frame 0 at the same time.
+
+    Band-limited by a polyphase filter, so that nothing faster than the lower rate can show comes back as a
+    slow motion, and nothing below it is lost, as between straight lines. The ends go on along the line
+    from the first to the last frame.
+
+    Returns:
+        (``frames_at(T, fps, rate)``, ...) of the dtype of `values`.
+    """
+    ratio = Fraction(rate).limit_denominator(_RATE_DENOMINATOR) / Fraction(fps).limit_denominator(
+        _RATE_DENOMINATOR
+    )
+    wanted = resample_poly(values, ratio.numerator, ratio.denominator, axis=0, padtype="line")
+    result: FloatArray = wanted[: frames_at(len(values), fps, rate)].astype(values.dtype)
+    return result
 
 
 def interpolate_frames(values: FloatArray, frames: npt.NDArray[np.floating]) -> FloatArray:
