@@ -3,7 +3,8 @@
     .venv/bin/python scripts/pack_weights.py --speech runs/speech --ats runs/ats --stm runs/stm --out weights/mine
 
 Each of the three is a folder that `freetalk train` exported (config.json and model.safetensors). The face template, to
-which every mesh is aligned, is sampled from the mean face of the packaged face model.
+which every mesh is aligned, is sampled from the mean face of the packaged face model. Weights that do not say by which
+commit and from which data they were trained are refused: what ships must be traceable (--untraceable lets them pass).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import argparse
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -40,6 +42,13 @@ def write_template(path: Path) -> None:
     _native.core.save_safetensors(str(path), tensors, {"source": "ICT-FaceKit mean face, MIT"})
 
 
+def untraceable(config: dict[str, Any]) -> list[str]:
+    """What a training's record lacks of the commit and the data that the weights come from."""
+    training = config.get("training") or {}
+    wanted = {"commit": "unknown", "data_fingerprint": ""}
+    return [name for name, none in wanted.items() if training.get(name, none) == none]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
@@ -56,7 +65,19 @@ def main() -> None:
     parser.add_argument(
         "--steps", type=int, default=25, help="denoising steps, unless a user gives others"
     )
+    parser.add_argument(
+        "--untraceable",
+        action="store_true",
+        help="pack weights of an unknown commit or unknown data",
+    )
     arguments = parser.parse_args()
+    for name in ("speech", "ats", "stm"):
+        lacks = untraceable(json.loads((getattr(arguments, name) / "config.json").read_text()))
+        if lacks and not arguments.untraceable:
+            parser.error(
+                f"{getattr(arguments, name)} does not know its {' and '.join(lacks)}; train it from a "
+                "git checkout, or pack it with --untraceable"
+            )
     SpeechEncoder.from_pretrained(arguments.speech)
     ats = Ats.from_pretrained(arguments.ats)
     Stm.from_pretrained(arguments.stm)

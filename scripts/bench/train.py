@@ -45,6 +45,8 @@ Step = Callable[[], float]
 class AtsBench:
     """Windows of noise through the denoiser; ``network`` is freetalk's model or its peer."""
 
+    epochs = None
+
     def __init__(self, config: TrainingConfig, frames: int, network: str) -> None:
         options = AtsOptions.from_dict({"audio_dim": 768, **config.model})
         self.frames, self.options = frames, options
@@ -53,7 +55,7 @@ class AtsBench:
         self.plain = network != "freetalk"
         self.schedule = Schedule()
 
-    def item(self, rng: np.random.Generator) -> dict[str, Any]:
+    def item(self, rng: np.random.Generator, number: int) -> dict[str, Any]:
         """A window."""
         return {
             "audio": rng.standard_normal((self.frames, self.options.audio_dim), dtype=np.float32),
@@ -91,6 +93,8 @@ class AtsBench:
 class StmBench:
     """Motion of the mean face; an item is a window."""
 
+    epochs = None
+
     def __init__(self, config: TrainingConfig, frames: int, network: str) -> None:
         options = StmOptions.from_dict(config.model)
         self.frames = frames
@@ -101,7 +105,7 @@ class StmBench:
             vertices.astype(np.float64) / options.length_scale, faces, k=options.k_eig
         ).to(dtype=torch.float32)
 
-    def item(self, rng: np.random.Generator) -> dict[str, Any]:
+    def item(self, rng: np.random.Generator, number: int) -> dict[str, Any]:
         """Landmark and vertex displacements, m."""
         landmarks = rng.standard_normal((self.frames, 68, 3), dtype=np.float32) * 2e-3
         target = rng.standard_normal((self.frames, *self.vertices.shape), dtype=np.float32) * 2e-3
@@ -132,7 +136,7 @@ def our_step(task: Any, config: TrainingConfig, out: Path) -> Step:
     """A step of freetalk's trainer."""
     engine = Engine(config.loop)
     task.model.to(engine.device)
-    trainer = Trainer(task, config, out, engine=engine)
+    trainer = Trainer(task, config, out, "noise", engine=engine)
     draws = Draws(task, engine, config.loop.seed)
     task.model.train()
     return lambda: trainer._train_step(draws)["loss"]
@@ -146,7 +150,7 @@ def plain_step(task: Any, config: TrainingConfig, compiled: bool) -> Step:
     optimizer = torch.optim.AdamW(
         model.parameters(), lr=loop.learning_rate, weight_decay=loop.weight_decay
     )
-    items = [task.item(np.random.default_rng([loop.seed, 0, i])) for i in range(loop.batch_size)]
+    items = [task.item(np.random.default_rng([loop.seed, 0, i]), i) for i in range(loop.batch_size)]
     batch = moved(task.collate(items), device)
     if compiled:
         task.model = torch.compile(model)
@@ -242,7 +246,7 @@ def main() -> None:
     arguments.frames = arguments.frames or {"ats": 150, "stm": 8}[arguments.kind]
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
-    overrides = [f"loop.batch_size={batch}", *arguments.set]
+    overrides = [f"loop.batch_size={batch}", "loop.epochs=0", *arguments.set]
     config = load_config(arguments.kind, arguments.config or f"{arguments.kind}_paper", overrides)
     print(
         f"{arguments.kind}: batch {batch}, {arguments.frames} frames, bf16 {config.loop.bf16}, "

@@ -11,6 +11,7 @@ import torch
 from dataset_layouts import write_folder
 from mini_corpus import write_mini_corpus
 
+from freetalk.ats import Ats
 from freetalk.cli.app import main
 from freetalk.data import open_dataset, open_datasets
 from freetalk.train.config import load_config
@@ -53,7 +54,10 @@ def test_the_audio_stage_trains_on_a_mixture(
     data = [f"OPEN={corpus}", f"OWN={own}", f"MARKS={sparse}"]
     shares = "task.source_weights={OPEN/synthetic: 0.4, OWN: 0.3, MARKS: 0.3}"
     plain = "task.feature_augmentations=0"
-    result = run("ats", CONFIGS / "ats_smoke.yaml", [*QUICK, plain, shares], data, tmp_path)
+    options = [*QUICK, plain, shares]
+    with pytest.raises(ValueError, match=r"MARKS, OPEN/synthetic: 30; OWN: 25.*model\.fps=RATE"):
+        run("ats", CONFIGS / "ats_smoke.yaml", options, data, tmp_path)
+    result = run("ats", CONFIGS / "ats_smoke.yaml", [*options, "model.fps=30"], data, tmp_path)
     assert result.step == 2
     assert finite(tmp_path / "ats")
     config = json.loads((tmp_path / "ats" / "config.json").read_text())
@@ -61,32 +65,39 @@ def test_the_audio_stage_trains_on_a_mixture(
     assert {name: part["fps"] for name, part in parts.items()} == {
         "OPEN": 30.0, "OWN": 25.0, "MARKS": 30.0,
     }  # fmt: skip
+    assert (config["fps"], config["options"]["fps"]) == (30.0, 30.0)
     assert parts["OWN"]["landmarks"]["count"] == 68
     record = json.loads((tmp_path / "run_ats.json").read_text())
     assert record["data"] == data
 
 
-def test_speech_features_follow_each_datasets_frame_rate(
-    corpus: Path, own: Path, tmp_path: Path
+def test_a_model_of_25_fps_data_says_so(own: Path, tmp_path: Path) -> None:
+    options = [*QUICK, "task.feature_augmentations=0"]
+    run("ats", CONFIGS / "ats_smoke.yaml", options, own, tmp_path)
+    assert Ats.from_pretrained(tmp_path / "ats").options.fps == 25.0
+
+
+@pytest.mark.parametrize("rate", [25.0, 30.0])
+def test_motion_and_features_come_at_the_models_frame_rate(
+    corpus: Path, own: Path, tmp_path: Path, rate: float
 ) -> None:
     overrides = [
         *QUICK,
+        f"model.fps={rate}",
         "task.feature_augmentations=0",
         "task.source_weights={OPEN/synthetic: 1, OWN: 1}",
     ]
     config = load_config("ats", CONFIGS / "ats_smoke.yaml", overrides)
     mixed = open_datasets([f"OPEN={corpus}", f"OWN={own}"])
     task = make_task(config, mixed, tmp_path, torch.device("cpu"))
-    seen = set()
     for sequence in task.sampler.sequences:
         (copy,) = task.features.copies(sequence)
-        seconds = len(mixed.audio(sequence)) / 16000
-        assert abs(copy.num_frames - seconds * sequence.fps) <= 1
-        assert copy.num_frames <= sequence.num_frames
-        seen.add(sequence.fps)
-    assert seen == {25.0, 30.0}
+        seconds = len(task.corpus.audio(sequence)) / 16000
+        assert abs(copy.num_frames - seconds * rate) <= 1
+        assert copy.num_frames <= sequence.num_frames == len(task.corpus.landmarks(sequence))
+        assert sequence.fps == rate
     rng = np.random.default_rng(0)
-    drawn = [task.item(rng) for _ in range(8)]
+    drawn = [task.item(rng, number) for number in range(8)]
     assert all(np.isfinite(item["motion"]).all() for item in drawn)
     assert {len(item["audio"]) - len(item["motion"]) for item in drawn} == {0}
 
@@ -107,7 +118,7 @@ def test_the_mesh_stage_trains_on_registered_and_open_faces(
 
 
 def test_a_sequence_moves_the_face_it_was_recorded_on(
-    corpus: Path, own: Path, tmp_path: Path
+    corpus: Path, own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     mixed = open_datasets([f"OPEN={corpus}", f"OWN={own}"])
     (tmp_path / "operators").mkdir()
@@ -132,8 +143,10 @@ def test_a_sequence_moves_the_face_it_was_recorded_on(
         assert windows.first_on(index).dataset == mesh.dataset
         assert len(windows.draw_on(index, rng).target[0]) == len(mesh.positions)
     own_alone = [mesh for mesh in meshes if mesh.dataset == "OWN"]
-    with pytest.raises(ValueError, match="random expressions, which only faces of the open corpus"):
-        FaceWindows(mixed, own_alone, "train", {"random": 1.0}, 4)
+    capsys.readouterr()
+    alone = FaceWindows(mixed, own_alone, "train", {"random": 1.0}, 4)
+    assert "no source random here" in capsys.readouterr().err
+    assert {own_alone[alone.draw(rng).mesh].dataset for _ in range(8)} == {"OWN"}
 
 
 def test_what_cannot_train_is_said_before_it_starts(
@@ -145,7 +158,6 @@ def test_what_cannot_train_is_said_before_it_starts(
         assert main([*command, *arguments]) == 2
         return capsys.readouterr().err
 
-    assert "no phones and expression curves" in fails("speech", "--data", str(own))
     assert "no faces or no meshings" in fails("stm", "--data", str(sparse), "task.num_meshes=0")
     assert "no folder" in fails("ats", "--data", str(own), "--data", "MEAD=/nowhere/mead")
     (tmp_path / "empty").mkdir()

@@ -111,7 +111,9 @@ def test_overrides_win_and_unknown_keys_name_the_nearest() -> None:
         load_config("ats", path, ["loop.bach_size=7"])
     with pytest.raises(ValueError, match=r"task\.lip_weight = 'much' is no float"):
         load_config("ats", path, ["task.lip_weight=much"])
-    with pytest.raises(ValueError, match=r"lr_schedule must be one of cosine, constant"):
+    with pytest.raises(
+        ValueError, match=r"lr_schedule must be one of cosine, cosine_minutes, constant"
+    ):
         load_config("ats", path, ["loop.lr_schedule=step"])
     with pytest.raises(ValueError, match=r"unknown training 'xyz'; known: ats, stm, speech"):
         load_config("xyz", path)
@@ -260,7 +262,7 @@ def test_a_stopped_run_ends_with_the_same_weights(
 def test_another_model_does_not_continue_a_run(corpus: Path, tmp_path: Path) -> None:
     config = CONFIGS / "stm_smoke.yaml"
     run("stm", config, [*QUICK, "loop.max_steps=1"], corpus, tmp_path)
-    with pytest.raises(ValueError, match="other model options"):
+    with pytest.raises(ValueError, match=r"of another training \(model\.decoder_width 16 -> 8\)"):
         run("stm", config, [*QUICK, "model.decoder_width=8"], corpus, tmp_path)
 
 
@@ -322,16 +324,19 @@ def test_closure_error_counts_lips_that_close_for_a_moment() -> None:
     valid = torch.ones(1, 60, dtype=torch.bool)
     guess = wanted.clone()
     guess[0, 20:30], guess[0, :10], guess[0, 50:] = 0.005, 0.004, 0.004
-    assert float(closure_error(guess, wanted, valid)) == 0  # open lips and long pauses do not count
+    usual = float(wanted.square().mean().sqrt())
+    # Open lips and long pauses do not count.
+    assert float(closure_error(guess, wanted, valid, usual)) == 0
     guess = wanted.clone()
     guess[0, 30] = 0.003
-    usual = float(wanted.square().mean().sqrt())
     expected = (0.003 / usual - 0.09) ** 2 / 9  # nine frames are closed near open ones
-    assert float(closure_error(guess, wanted, valid)) == pytest.approx(expected)
+    assert float(closure_error(guess, wanted, valid, usual)) == pytest.approx(expected)
+    twice = float(closure_error(guess, wanted, valid, usual, torch.tensor(18.0)))
+    assert twice == pytest.approx(expected / 2)  # over the frames of two such shards
     pressed = guess.clone()
     pressed[0, 30] = 0.08 * usual
-    assert float(closure_error(pressed, wanted, valid)) == 0  # closed enough
+    assert float(closure_error(pressed, wanted, valid, usual)) == 0  # closed enough
     valid[0, 30] = False
-    assert float(closure_error(guess, wanted, valid)) == 0
+    assert float(closure_error(guess, wanted, valid, usual)) == 0
     still = torch.zeros(1, 60)
-    assert torch.isfinite(closure_error(still + 0.001, still, valid))
+    assert torch.isfinite(closure_error(still + 0.001, still, valid, 0.0))

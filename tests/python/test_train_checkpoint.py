@@ -151,7 +151,7 @@ def test_the_newest_checkpoints_stay(tmp_path: Path) -> None:
 def test_a_checkpoint_of_another_version_is_named(tmp_path: Path) -> None:
     save_checkpoint(tmp_path, 1, {}, {}, {}, lambda folder: None)
     state = tmp_path / "step_0000001" / "state.json"
-    state.write_text(state.read_text().replace('"version": 2', '"version": 1'))
+    state.write_text(state.read_text().replace('"version": 3', '"version": 2'))
     with pytest.raises(ValueError, match="another version"):
         load_checkpoint(tmp_path / "step_0000001")
 

@@ -20,12 +20,26 @@ from freetalk.train import load_config, motion_loss, run
 from freetalk.train.config import LoopOptions
 from freetalk.train.draws import step_seed
 from freetalk.train.engine import Engine, choose_device
-from freetalk.train.losses import motion_counts
+from freetalk.train.losses import closure_error, closures, motion_counts
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 # Enough to be quick on any machine, and a fixed sum order. Dropout is drawn per forward pass.
 SAME = ["loop.threads=1", "loop.device=cpu", "loop.validate_every=0", "loop.max_steps=4"]
-MODEL = {"ats": ["model.dropout=0", "task.feature_augmentations=0"], "stm": []}
+# The audio stage with all of its terms, and with items that differ in what they leave out.
+MODEL = {
+    "ats": [
+        "model.dropout=0",
+        "task.feature_augmentations=0",
+        "task.closure_weight=2.0",
+        "task.lip_weight=2.0",
+        "task.rehearsal=0.3",
+    ],
+    "stm": [],
+    "speech": ["model.hidden_dropout=0", "model.attention_dropout=0", "model.activation_dropout=0"],
+}
+KINDS = sorted(MODEL)
+# Adam divides by the gradient's size, which makes whole steps of a rounding's sign.
+SMALL_STEPS = "loop.learning_rate=1e-6"
 
 
 @pytest.fixture(scope="module")
@@ -38,9 +52,15 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Mon
     monkeypatch.setenv("FREETALK_CACHE", str(tmp_path_factory.getbasetemp() / "operators"))
 
 
-def losses(out: Path, kind: str) -> list[float]:
+def curves(out: Path, kind: str, prefix: str) -> dict[str, list[float]]:
+    """Every logged scalar of training or validation, step by step."""
     events = EventAccumulator(str(out / "tensorboard" / kind)).Reload()
-    return [event.value for event in events.Scalars("train/loss")]
+    names = [name for name in events.Tags()["scalars"] if name.startswith(prefix)]
+    return {name: [event.value for event in events.Scalars(name)] for name in names}
+
+
+def losses(out: Path, kind: str) -> list[float]:
+    return curves(out, kind, "train/loss")["train/loss"]
 
 
 def weights(out: Path, kind: str) -> dict[str, torch.Tensor]:
@@ -57,9 +77,9 @@ def assert_same_training(first: Path, second: Path, kind: str) -> None:
         torch.testing.assert_close(value, there[name], atol=2e-4, rtol=1e-3, msg=name)
 
 
-@pytest.mark.parametrize("kind", ["ats", "stm"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_two_processes_train_as_one_does(kind: str, corpus: Path, tmp_path: Path) -> None:
-    options = [*SAME, *MODEL[kind]]
+    options = [*SAME, *MODEL[kind], SMALL_STEPS]
     config = CONFIGS / f"{kind}_smoke.yaml"
     run(kind, config, options, corpus, tmp_path / "one")
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc_per_node=2"]
@@ -74,13 +94,18 @@ def test_two_processes_train_as_one_does(kind: str, corpus: Path, tmp_path: Path
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("finished at step 4") == 1
     assert_same_training(tmp_path / "one", tmp_path / "two", kind)
+    for prefix in ("train/", "val/"):
+        one, two = (curves(tmp_path / name, kind, prefix) for name in ("one", "two"))
+        assert one.keys() == two.keys() and len(one) > 1
+        for name in one.keys() - {"train/items_per_second"}:
+            assert one[name] == pytest.approx(two[name], rel=1e-6), name  # float32's rounding
 
 
-@pytest.mark.parametrize("kind", ["ats", "stm"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_accumulated_passes_train_as_one_pass_does(kind: str, corpus: Path, tmp_path: Path) -> None:
     config = CONFIGS / f"{kind}_smoke.yaml"
     for passes in (1, 2):
-        options = [*SAME, *MODEL[kind], f"loop.accumulation_steps={passes}"]
+        options = [*SAME, *MODEL[kind], SMALL_STEPS, f"loop.accumulation_steps={passes}"]
         run(kind, config, options, corpus, tmp_path / str(passes))
     assert_same_training(tmp_path / "1", tmp_path / "2", kind)
 
@@ -111,6 +136,24 @@ def test_the_mean_over_shards_is_the_loss_of_all_frames() -> None:
     for name, value in whole.items():
         mean = sum(float(part[name]) for part in parts) / 2
         assert mean == pytest.approx(float(value), rel=1e-5)
+
+
+def test_the_mean_over_shards_of_closures_is_that_of_all_frames() -> None:
+    generator = torch.Generator().manual_seed(0)
+    wanted = 0.01 * torch.rand(4, 60, generator=generator).square()
+    wanted[:, ::7] = 0.0
+    wanted[0] *= 0.01  # a face that hardly speaks
+    guess = wanted + 0.002 * torch.rand(4, 60, generator=generator)
+    valid = torch.arange(60) < torch.tensor([60, 30, 55, 20])[:, None]
+    whole = float(closure_error(guess, wanted, valid, 0.005))
+    halves = [slice(0, 2), slice(2, 4)]
+    count = sum(float(closures(wanted[h], valid[h], 0.005).sum()) for h in halves) / 2
+    parts = [
+        float(closure_error(guess[h], wanted[h], valid[h], 0.005, torch.tensor(count)))
+        for h in halves
+    ]
+    assert whole > 0.01 and parts[0] != pytest.approx(parts[1], rel=0.01)
+    assert sum(parts) / 2 == pytest.approx(whole, rel=1e-6)
 
 
 def test_step_seeds_differ() -> None:

@@ -6,11 +6,16 @@ import argparse
 import os
 from pathlib import Path
 
+from freetalk.cli.app import EXIT_STOPPED
 from freetalk.cli.outputs import check_readable, check_writable
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Trains a model; continues when the output folder holds an unfinished run."""
+    """Trains a model; continues when the output folder holds an unfinished run.
+
+    Raises:
+        SystemExit: it was told to stop; the shell's 130, so that ``train && evaluate`` stops too.
+    """
     if Path(arguments.config).suffix:  # otherwise the name of a shipped one
         check_readable(arguments.config, "a configuration (YAML)")
     for spec in arguments.data:
@@ -26,8 +31,9 @@ def run(arguments: argparse.Namespace) -> None:
     result = train.run(
         arguments.kind, arguments.config, arguments.overrides, arguments.data, arguments.out
     )
-    if int(os.environ.get("RANK", "0")) > 0:  # of several processes one speaks
-        return
-    scores = ", ".join(f"{name} {value:.4g}" for name, value in result.scores.items())
-    print(f"{result.status} at step {result.step}: {scores or 'no validation yet'}")
-    print(f"weights in {result.directory}")
+    if int(os.environ.get("RANK", "0")) == 0:  # of several processes one speaks
+        scores = ", ".join(f"{name} {value:.4g}" for name, value in result.scores.items())
+        print(f"{result.status} at step {result.step}: {scores or 'no validation yet'}")
+        print(f"weights in {result.directory}")
+    if result.status == "interrupted":
+        raise SystemExit(EXIT_STOPPED)

@@ -66,7 +66,6 @@ class Recipes:
             view=view,
             config=self.size.configs[kind],
             overrides=(*self._overrides[kind], *overrides),
-            epochs=self.size.epochs.get(kind, 0),
         )
 
 

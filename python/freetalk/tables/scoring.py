@@ -12,7 +12,6 @@ import torch
 from tqdm import tqdm
 
 from freetalk import metrics
-from freetalk._pretrained import PRETRAINED
 from freetalk.data import FaceMesh, MotionSequence, interpolate_frames
 from freetalk.evaluate.dataset_truth import origin_of
 from freetalk.evaluate.masks import landmark_masks
@@ -21,6 +20,7 @@ from freetalk.evaluate.motion_files import Origin
 from freetalk.evaluate.pretrained import SpeechToMotion
 from freetalk.stm import Stm
 from freetalk.tables.views import DatasetView
+from freetalk.train.ats_inputs import named_encoder
 from freetalk.train.stm_meshes import PreparedMesh, prepare_mesh
 
 FloatArray = npt.NDArray[np.float32]
@@ -225,8 +225,8 @@ class Speaker:
 
 
 def encoder_folder(given: str) -> Path:
-    """Folder of the speech encoder; the shipped one where none is given."""
-    return Path(given) if given else PRETRAINED / "open-small" / "speech"
+    """Folder of the speech encoder, given as a folder or a name; the shipped one where none is given."""
+    return named_encoder(given or "open-small")
 
 
 def _at_rate(motion: FloatArray, fps: float, clip: MotionSequence) -> FloatArray:

@@ -25,7 +25,6 @@ class Size:
         name: ``tiny``, ``small`` or ``full``.
         configs: configuration of each kind of training.
         overrides: ``section.key=value`` on top of them.
-        epochs: passes over the training clips that set ``loop.max_steps``; absent: as configured.
         ablation: clips of the component studies [FreeTalk supp. 3].
         stm: clips that the landmarks-to-mesh stage of Tables 2 and 3 is trained on.
         ats: clips that the audio-to-landmarks stage is trained on and whole pipelines are scored on.
@@ -38,7 +37,6 @@ class Size:
     name: str
     configs: Mapping[str, str]
     overrides: Mapping[str, tuple[str, ...]]
-    epochs: Mapping[str, int]
     ablation: ViewOptions
     stm: ViewOptions
     ats: ViewOptions
@@ -81,7 +79,6 @@ TINY = Size(
             "model.band_radius=3",
         ),
     },
-    epochs={},
     ablation=_TINY_VIEW,
     stm=_TINY_VIEW,
     ats=ViewOptions(
@@ -109,7 +106,6 @@ SMALL = Size(
     name="small",
     configs={"stm": "table_stm", "ats": "table_ats"},
     overrides={},
-    epochs={},
     ablation=_SMALL_VIEW,
     stm=_SMALL_VIEW,
     ats=ViewOptions(
@@ -126,8 +122,7 @@ SMALL = Size(
 FULL = Size(
     name="full",
     configs={"stm": "stm_paper", "ats": "ats_paper"},
-    overrides={"stm": ("task.num_meshes=240",)},
-    epochs={"stm": 30, "ats": 100},
+    overrides={"stm": ("task.num_meshes=240",), "ats": ("model.fps=30",)},
     ablation=ViewOptions(fps=10.0, clip_frames=30, min_frames=15, every=2),
     stm=ViewOptions(),
     ats=ViewOptions(),

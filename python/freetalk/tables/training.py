@@ -32,7 +32,6 @@ class Training:
         view: what of them.
         config: name or path of the configuration.
         overrides: ``section.key=value`` on top of it.
-        epochs: passes over the clips that set ``loop.max_steps``; 0 leaves it.
     """
 
     kind: str
@@ -40,17 +39,16 @@ class Training:
     view: ViewOptions
     config: str
     overrides: tuple[str, ...] = ()
-    epochs: int = 0
 
     def key(self, catalogue: Catalogue) -> str:
-        """Hash of the configuration, the data, the epochs and the speech encoder's weights."""
+        """Hash of the configuration, the data and the speech encoder's weights."""
         config = load_config(self.kind, self.config, list(self.overrides))
         data = catalogue.mixture(self.sets, self.view).fingerprint
         task = config.task
         encoder = ""
         if isinstance(task, AtsTaskOptions):
             encoder = content_hash(encoder_folder(task.speech_encoder))
-        described = [self.kind, config.to_dict(), data, self.epochs, encoder]
+        described = [self.kind, config.to_dict(), data, encoder]
         content = json.dumps(described, sort_keys=True)
         return hashlib.sha256(content.encode()).hexdigest()[:12]
 
@@ -89,17 +87,14 @@ def train(training: Training, catalogue: Catalogue, work: Path) -> Trained:
     corpus = catalogue.mixture(training.sets, training.view)
     corpus.check()
     config = load_config(training.kind, training.config, [*training.overrides, *overrides])
-    if training.epochs:
-        clips = len(corpus.sequences("train"))
-        config.loop.max_steps = max(1, training.epochs * clips // config.loop.batch_size)
     engine = Engine(config.loop)
     if config.loop.threads > 0:
         torch.set_num_threads(config.loop.threads)
     with engine.main_first():
-        torch.manual_seed(config.loop.seed)  # initial weights
         task = make_task(config, corpus, out, engine.device)
     began = time.perf_counter()
-    result = Trainer(task, config, out, f"table row {training.kind}", engine).run()
+    trainer = Trainer(task, config, out, corpus.fingerprint, f"table row {training.kind}", engine)
+    result = trainer.run()
     if result.status != "finished":
         raise StoppedError(f"{out} stopped after step {result.step}")
     record = {

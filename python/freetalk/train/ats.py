@@ -9,11 +9,16 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
-from freetalk._pretrained import PRETRAINED
 from freetalk.ats import Ats, AtsOptions, GenerateOptions, generate
-from freetalk.data import NUM_LANDMARKS, MotionDataset, MotionSequence, interpolate_frames
+from freetalk.data import (
+    NUM_LANDMARKS,
+    AtRate,
+    MotionDataset,
+    MotionSequence,
+    interpolate_frames,
+    lip_opening,
+)
 from freetalk.data.landmarks import (
     EYES,
     INNER_LIP_PAIRS,
@@ -23,18 +28,25 @@ from freetalk.data.landmarks import (
     UPPER_INNER_LIP,
 )
 from freetalk.diffusion import Schedule, ScheduleOptions
+from freetalk.train.ats_inputs import audible, frame_rate, speech_encoder
 from freetalk.train.checkpoint import export_model
+from freetalk.train.checks import NO_VALIDATION
 from freetalk.train.config import TrainingConfig
 from freetalk.train.features import FeatureCache
-from freetalk.train.initial import initial_weights
-from freetalk.train.losses import closure_error, motion_counts, motion_loss
+from freetalk.train.losses import (
+    MILLIMETRES,
+    closure_error,
+    closures,
+    motion_counts,
+    motion_loss,
+)
 from freetalk.train.mosaic import FloatArray, Mosaics, blended
 from freetalk.train.samples import MeanFace, Sample
-from freetalk.train.sampling import SequenceSampler, numpy_generator
+from freetalk.train.sampling import Epochs, SequenceSampler, numpy_generator, present_weights
 from freetalk.train.task_options import AtsTaskOptions
 
 _VALIDATION_SEED = 30
-#: Frames and denoising steps of a sample to look at.
+# Frames and denoising steps of a sample to look at.
 _SAMPLE_FRAMES = 90
 _SAMPLE_STEPS = 25
 _VALIDATION_TIMESTEPS = (0.15, 0.5, 0.85, 1.0)
@@ -50,37 +62,37 @@ class AtsTask:
     ) -> None:
         assert isinstance(config.task, AtsTaskOptions)
         self.options = config.task
-        self.corpus = corpus
+        self.corpus = AtRate(corpus, frame_rate(config.model, config.task.source_weights, corpus))
         self.batch_size = config.loop.batch_size
         self.device = device
         self._out = out
         self._face: MeanFace | None = None
-        train = _audible(corpus.sequences("train"))
-        self.sampler = SequenceSampler(train, self.options.source_weights)
-        self.mosaics = Mosaics(self.sampler.sequences, self.options.source_weights)
+        train = audible(self.corpus.sequences("train"))
+        shares = present_weights((s.source for s in train), self.options.source_weights)
+        self.sampler = SequenceSampler(train, shares)
+        self.mosaics = Mosaics(self.sampler.sequences, shares)
         sources = {s.source for s in self.sampler.sequences}
-        self.held_out = [s for s in _audible(corpus.sequences("val")) if s.source in sources]
-        encoder = _speech_encoder(self.options, out)
-        cache = Path(self.options.feature_cache or out / "cache")
+        heard = audible(self.corpus.sequences("val"))
+        self.held_out = [s for s in heard if s.source in sources] or heard
+        if not self.held_out:
+            raise ValueError(NO_VALIDATION.format(corpus.name, "sequences with sound"))
+        encoder = speech_encoder(self.options, out)
         self.features = FeatureCache(
-            corpus,
+            self.corpus,
             [*self.sampler.sequences, *self.held_out],
             encoder,
-            cache,
+            Path(self.options.feature_cache or out / "cache"),
             self.options.feature_augmentations,
             device,
         )
-        # Every frame is looked at once, so that what is wrong with one is told before, not at night.
-        every = [*self.sampler.sequences, *self.held_out]
-        for sequence in tqdm(every, desc="landmarks", unit="take", leave=False):
-            corpus.landmarks(sequence, 0, 1)
-        fields = {"audio_dim": self.features.width, **config.model}
+        fields = {"audio_dim": self.features.width, **config.model, "fps": self.corpus.fps}
         if fields["audio_dim"] != self.features.width:
             raise ValueError(
                 f"model.audio_dim is {fields['audio_dim']}, but the encoder in {encoder} gives "
                 f"{self.features.width} channels; leave model.audio_dim out"
             )
         self.model_options = AtsOptions.from_dict(fields)
+        self.model_options.trained_frames = self._longest_window()
         # The same start, whether the features were cached or not.
         torch.manual_seed(config.loop.seed)
         self.model = Ats(self.model_options).to(device)
@@ -93,6 +105,10 @@ class AtsTask:
                 beta_end=self.model_options.beta_end,
             )
         )
+        self.epochs = Epochs(
+            self.sampler.sequences, self.model_options.max_frames, config.loop.seed
+        )
+        self._in_epochs = config.loop.epochs > 0
         self.point_weights = self._landmark_weights()
         coordinates = torch.ones(NUM_LANDMARKS, 3, dtype=torch.bool, device=device)
         coordinates[list(UPPER_FACE)] = False
@@ -108,13 +124,19 @@ class AtsTask:
         """(204,) standard deviation of the motion, m, likewise."""
         return self.model.get_buffer("motion_scale")
 
-    def item(self, rng: np.random.Generator) -> dict[str, Any]:
+    def item(self, rng: np.random.Generator, number: int) -> dict[str, Any]:
         """A window of up to ``max_frames`` frames, its noise and its diffusion step."""
-        window = self._window(self.sampler.draw(rng), rng)
+        if self._in_epochs:
+            sequence, start = self.epochs.window(number)
+            window = self._window(sequence, rng, start)
+        else:
+            window = self._window(self.sampler.draw(rng), rng)
         if rng.random() < self.options.blend:
             window = blended(window, self._window(self.sampler.draw(rng), rng), rng)
+        spare = self.model_options.max_frames - len(window["motion"])
         return {
             **window,
+            "first_position": int(rng.integers(spare + 1)) if self.options.position_offsets else 0,
             "drop_audio": rng.random() < self.options.audio_dropout,
             "drop_affect": rng.random() < self.options.affect_dropout,
             "rehearsed": rng.random() < self.options.rehearsal,
@@ -128,9 +150,12 @@ class AtsTask:
         noise = torch.zeros_like(batch["motion"])
         for row, item in enumerate(items):
             noise[row, : len(item["noise"])] = torch.from_numpy(item["noise"])
-        for name in ("drop_audio", "drop_affect", "rehearsed", "step"):
+        for name in ("drop_audio", "drop_affect", "rehearsed", "step", "first_position"):
             batch[name] = torch.tensor([item[name] for item in items])
-        return {**batch, "noise": noise, "counts": motion_counts(batch["valid"])}
+        wanted = _gap(batch["motion"])
+        closed = closures(wanted, batch["valid"], self._usual_opening).sum()
+        counts = torch.cat([motion_counts(batch["valid"]), closed[None].float()])
+        return {**batch, "noise": noise, "counts": counts}
 
     def loss(self, batch: dict[str, Any], generator: torch.Generator) -> dict[str, Tensor]:
         """Eq. 15 at the diffusion step drawn for each window."""
@@ -138,8 +163,6 @@ class AtsTask:
 
     def validate(self) -> dict[str, float]:
         """Loss at fixed steps and noise, and the opening's correlation when starting from noise."""
-        if not self.held_out:
-            raise ValueError("the corpus has no sequences with audio in its val split")
         generator = torch.Generator().manual_seed(_VALIDATION_SEED)
         rng = numpy_generator(generator)
         sampler = SequenceSampler(self.held_out, {s.source: 1.0 for s in self.held_out})
@@ -160,8 +183,8 @@ class AtsTask:
             valid = batch["valid"]
             gaps.append(
                 (
-                    self._gap(guess)[valid].cpu().numpy(),
-                    self._gap(self._normalised(batch))[valid].cpu().numpy(),
+                    _gap(guess * self.spread + self.mean)[valid].cpu().numpy(),
+                    _gap(batch["motion"])[valid].cpu().numpy(),
                 )
             )
         guessed, true = (np.concatenate(side) for side in zip(*gaps, strict=True))
@@ -214,8 +237,12 @@ class AtsTask:
         o = self.options
         target = self._normalised(batch)
         guess = self._denoise(batch, step, noise)
-        if o.loss_units == "metres":
-            guess, target = guess * self.spread, target * self.spread  # the mean cancels
+        counts: Tensor | None = batch.get("counts")
+        motion = None if counts is None else counts[:3]
+        opening = _gap(guess * self.spread + self.mean)
+        if o.loss_units == "millimetres":
+            unit = MILLIMETRES * self.spread
+            guess, target = guess * unit, target * unit  # the mean cancels
         shape = (*guess.shape[:-1], NUM_LANDMARKS, 3)
         guess, target = guess.view(shape), target.view(shape)
         terms = motion_loss(
@@ -225,21 +252,22 @@ class AtsTask:
             o.lambda_velocity,
             o.lambda_acceleration,
             self.point_weights,
-            batch.get("counts"),
+            motion,
         )
         if o.opening_weight > 0:
             upper, lower = INNER_LIP_PAIRS
             gap = guess[..., upper, :] - guess[..., lower, :]
             wanted = target[..., upper, :] - target[..., lower, :]
-            terms["opening"] = motion_loss(gap, wanted, batch["valid"], counts=batch.get("counts"))[
-                "loss"
-            ]
+            terms["opening"] = motion_loss(gap, wanted, batch["valid"], counts=motion)["loss"]
             terms["loss"] = terms["loss"] + o.opening_weight * terms["opening"]
         if o.closure_weight > 0:
-            unit = self.spread if o.loss_units == "metres" else 1.0
-            opening = self._gap(guess.flatten(-2) / unit)
-            wanted = self._gap(target.flatten(-2) / unit)
-            terms["closure"] = closure_error(opening, wanted, batch["valid"])
+            terms["closure"] = closure_error(
+                opening,
+                _gap(batch["motion"]),
+                batch["valid"],
+                self._usual_opening,
+                None if counts is None else counts[3],
+            )
             terms["loss"] = terms["loss"] + o.closure_weight * terms["closure"]
         return terms
 
@@ -265,26 +293,37 @@ class AtsTask:
             valid=batch["valid"],
             drop_audio=batch.get("drop_audio"),
             drop_affect=batch.get("drop_affect"),
+            first_position=batch.get("first_position"),
         )
         return guess.float()
 
     def _window(
-        self, sequence: MotionSequence, rng: np.random.Generator, altered: bool = True
+        self,
+        sequence: MotionSequence,
+        rng: np.random.Generator,
+        first: int | None = None,
+        altered: bool = True,
     ) -> dict[str, Any]:
-        def piece(source: MotionSequence, frames: int) -> tuple[FloatArray, FloatArray]:
+        """A window that begins at frame `first` of a sequence, or at a drawn one."""
+
+        def piece(
+            source: MotionSequence, frames: int, given: int | None = None
+        ) -> tuple[FloatArray, FloatArray]:
             copies = self.features.copies(source)
             copy = copies[int(rng.integers(len(copies)))] if altered else copies[0]
-            start = int(rng.integers(0, max(1, copy.num_frames - frames + 1)))
+            latest = max(0, copy.num_frames - frames)
+            drawn = int(rng.integers(0, latest + 1))
+            start = drawn if given is None else min(round(given / copy.speed), latest)
             audio = self.features.features(copy, start, start + frames)
             at = (start + np.arange(len(audio))) * copy.speed
-            first, stop = int(at[0]), int(at[-1]) + 2
-            return audio, interpolate_frames(self.corpus.landmarks(source, first, stop), at - first)
+            low, stop = int(at[0]), int(at[-1]) + 2
+            return audio, interpolate_frames(self.corpus.landmarks(source, low, stop), at - low)
 
         length = self.model_options.max_frames
         if altered and rng.random() < self.options.mosaic:
             audio, motion = self.mosaics.window(sequence, length, piece, rng)
         else:
-            audio, motion = piece(sequence, length)
+            audio, motion = piece(sequence, length, first)
         if altered:
             o = self.options
             audio = self.features.altered(
@@ -322,6 +361,14 @@ class AtsTask:
             "intensity": intensity,
         }
 
+    def _longest_window(self) -> int:
+        """Frames of the longest window that the network is shown."""
+        longest = max(
+            copy.num_frames for s in self.sampler.sequences for copy in self.features.copies(s)
+        )
+        most = self.model_options.max_frames
+        return most if self.options.mosaic > 0 else min(most, longest)
+
     def _normalised(self, batch: dict[str, Any]) -> Tensor:
         """Motion in units of its spread, 0 on padding; (B, T, 204)."""
         normalised: Tensor = (batch["motion"] - self.mean) / self.spread
@@ -332,6 +379,7 @@ class AtsTask:
         rng = np.random.default_rng(_VALIDATION_SEED)
         drawn = [self.corpus.landmarks(self.sampler.draw(rng)) for _ in range(600)]
         frames = np.concatenate([m[rng.integers(0, len(m), 100)] for m in drawn])
+        self._usual_opening = float(np.sqrt(np.square(lip_opening(frames)).mean()))
         frames = frames.reshape(len(frames), -1)
         spread = frames.std(axis=0)
         spread = np.maximum(spread, _SPREAD_FLOOR * spread.mean()).clip(1e-6)
@@ -345,24 +393,8 @@ class AtsTask:
         weights[list(EYES)] = self.options.eye_weight
         return (weights / weights.mean()).to(self.device)
 
-    def _gap(self, motion: Tensor) -> Tensor:
-        metres = (motion * self.spread + self.mean).unflatten(-1, (NUM_LANDMARKS, 3))
-        return metres[..., UPPER_INNER_LIP, 1] - metres[..., LOWER_INNER_LIP, 1]
 
-
-def _audible(sequences: list[MotionSequence]) -> list[MotionSequence]:
-    """Sequences with sound, and those whose silence is meant."""
-    return [s for s in sequences if s.audio is not None or s.source == "rest"]
-
-
-def _speech_encoder(options: AtsTaskOptions, out: Path) -> Path:
-    if options.speech_encoder:
-        return Path(options.speech_encoder)
-    trained = out / "speech"
-    if (trained / "config.json").is_file():
-        return trained
-    if options.init:
-        beside = initial_weights(options.init, "ats").parent / "speech"
-        if (beside / "config.json").is_file():
-            return beside
-    return PRETRAINED / "open-small" / "speech"
+def _gap(motion: Tensor) -> Tensor:
+    """Opening (..., T) of the inner lips in motion (..., T, 204)."""
+    points = motion.unflatten(-1, (NUM_LANDMARKS, 3))
+    return points[..., UPPER_INNER_LIP, 1] - points[..., LOWER_INNER_LIP, 1]

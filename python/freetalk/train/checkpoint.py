@@ -14,16 +14,10 @@ import torch
 from torch import Tensor
 
 from freetalk import _native
+from freetalk._files import flush, write_json
 
 _POINTER = "last.json"
-_VERSION = 2
-
-
-def write_json(path: Path, value: Any) -> None:
-    """Writes JSON so that a reader sees the old or the new file, never a part."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(json.dumps(value, indent=2) + "\n")
-    temporary.replace(path)
+_VERSION = 3
 
 
 def save_checkpoint(
@@ -64,10 +58,10 @@ def save_checkpoint(
     write_json(
         temporary / "state.json", {"version": _VERSION, "step": step, "groups": groups, **state}
     )
-    _flush(temporary)
+    for path in [*temporary.iterdir(), temporary]:
+        flush(path)
     temporary.replace(directory / name)
     write_json(directory / _POINTER, {"checkpoint": name})
-    _flush(directory)
     whole = sorted(directory.glob("step_*"), key=lambda path: (path.stat().st_mtime_ns, path.name))
     for old in [path for path in whole if path.name != name][: max(0, len(whole) - keep)]:
         shutil.rmtree(old, ignore_errors=True)
@@ -88,10 +82,8 @@ def find_checkpoint(directory: Path) -> Path | None:
     return path
 
 
-def load_checkpoint(
-    path: Path,
-) -> tuple[dict[str, dict[str, Tensor]], dict[str, Any], dict[str, Any]]:
-    """Reads back what :func:`save_checkpoint` wrote: tensors, optimiser state, JSON values.
+def load_state(path: Path) -> dict[str, Any]:
+    """The JSON values of a checkpoint.
 
     Raises:
         ValueError: another version of freetalk wrote it.
@@ -102,6 +94,18 @@ def load_checkpoint(
             f"{path} is of another version of freetalk's training; finish it with that one, or start "
             f"anew from its weights (task.init) with another --out"
         )
+    return state
+
+
+def load_checkpoint(
+    path: Path,
+) -> tuple[dict[str, dict[str, Tensor]], dict[str, Any], dict[str, Any]]:
+    """Reads back what :func:`save_checkpoint` wrote: tensors, optimiser state, JSON values.
+
+    Raises:
+        ValueError: another version of freetalk wrote it.
+    """
+    state = load_state(path)
     tensors = {
         group: _native.core.load_safetensors(str(path / f"{group}.safetensors"))
         for group in state["groups"]
@@ -117,17 +121,6 @@ def _unused_name(directory: Path, step: int) -> str:
         again += 1
         name = f"step_{step:07d}_{again}"
     return name
-
-
-def _flush(directory: Path) -> None:
-    """Lets a folder's files reach the disk before anything points at them."""
-    for path in [*directory.iterdir(), directory]:
-        if path.is_file() or path == directory:
-            descriptor = os.open(path, os.O_RDONLY)
-            try:
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
 
 
 def export_model(
@@ -153,16 +146,25 @@ def export_model(
 
 
 def git_commit() -> str:
-    """Commit of the source tree that this package runs from, or ``unknown``."""
-    try:
+    """Commit of the source tree that this package runs from, with ``+changes`` where files differ from it.
+
+    An installed package has none: it answers ``unknown``, also inside of somebody else's repository.
+    """
+
+    def git(*arguments: str) -> str:
         done = subprocess.run(
-            ["git", "rev-parse", "HEAD"],
+            ["git", *arguments],
             cwd=Path(__file__).parent,
             capture_output=True,
             text=True,
             check=True,
             timeout=10,
         )
+        return done.stdout.strip()
+
+    try:
+        git("ls-files", "--error-unmatch", Path(__file__).name)
+        changes = git("status", "--porcelain", "--untracked-files=no")
+        return git("rev-parse", "HEAD") + ("+changes" if changes else "")
     except (OSError, subprocess.SubprocessError):
         return "unknown"
-    return done.stdout.strip()

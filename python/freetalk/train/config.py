@@ -32,11 +32,14 @@ class LoopOptions:
         accumulation_steps: forward passes that a step's items are shared out to, for what does not
             fit into memory at once.
         max_steps: optimiser steps.
-        max_minutes: training time after which it ends, 0 for no limit; the learning rate then
-            follows the clock where that is ahead of the steps.
+        epochs: passes over the training windows, each of which shows every frame once, in place of
+            ``max_steps`` and of random draws; 0 for none.
+        max_minutes: training time after which it ends, 0 for no limit.
         learning_rate: AdamW's, at its peak.
         weight_decay: of matrices and kernels; biases, norms and embeddings are spared.
-        lr_schedule: ``cosine`` to ``lr_final`` times the peak, or ``constant``.
+        lr_schedule: ``cosine`` over the steps to ``lr_final`` times the peak, ``cosine_minutes``
+            (over the steps or ``max_minutes``, whichever is ahead: another machine then takes another
+            path), or ``constant``.
         lr_final: end of the cosine relative to the peak.
         warmup_steps: linear rise of the learning rate.
         grad_clip: largest gradient norm, 0 disables.
@@ -58,6 +61,7 @@ class LoopOptions:
     batch_size: int = 16
     accumulation_steps: int = 1
     max_steps: int = 100_000
+    epochs: int = 0
     max_minutes: float = 0.0
     learning_rate: float = 1e-4
     weight_decay: float = 1e-2
@@ -70,7 +74,7 @@ class LoopOptions:
     fp16: bool = False
     log_every: int = 10
     validate_every: int = 1000
-    checkpoint_every: int = 0
+    checkpoint_every: int = 500
     keep: str = "best"
     keep_checkpoints: int = 1
     render_every: int = 0
@@ -80,12 +84,18 @@ class LoopOptions:
         require(self.seed >= 0, "loop.seed must not be negative", self.seed)
         for name in ("batch_size", "accumulation_steps", "keep_checkpoints"):
             require(getattr(self, name) > 0, f"loop.{name} must be positive", getattr(self, name))
+        require(self.epochs >= 0, "loop.epochs must not be negative", self.epochs)
+        require(
+            self.lr_schedule != "cosine_minutes" or self.max_minutes > 0,
+            "loop.lr_schedule cosine_minutes needs loop.max_minutes",
+            self.max_minutes,
+        )
         require(self.max_steps > 0, "loop.max_steps must be positive", self.max_steps)
         require(self.learning_rate > 0, "loop.learning_rate must be positive", self.learning_rate)
         require(0 <= self.ema_decay < 1, "loop.ema_decay must be in [0, 1)", self.ema_decay)
         require(not (self.bf16 and self.fp16), "loop.bf16 and loop.fp16 exclude each other", "both")
         choices = {
-            "loop.lr_schedule": (self.lr_schedule, ("cosine", "constant")),
+            "loop.lr_schedule": (self.lr_schedule, ("cosine", "cosine_minutes", "constant")),
             "loop.device": (self.device, ("auto", "cpu", "cuda")),
             "loop.keep": (self.keep, ("best", "last")),
         }
@@ -172,6 +182,12 @@ def load_config(kind: str, path: str | Path, overrides: list[str] | None = None)
     task: TaskOptions = options_from_dict(_TASKS[kind], raw.get("task") or {}, f"{path}: task")
     loop.check()
     task.check()
+    require(
+        not (loop.epochs and task.source_weights),
+        "loop.epochs shows everything once, which shares of sources contradict: leave one out; "
+        "task.source_weights",
+        task.source_weights,
+    )
     return TrainingConfig(kind=kind, model=model, loop=loop, task=task)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -13,7 +13,6 @@ from freetalk.train.engine import Engine
 Batch = dict[str, Any]
 
 
-@runtime_checkable
 class DrawsItems(Protocol):
     """A task whose items are drawn one by one: a step sees the same ones in any number of processes.
 
@@ -21,21 +20,11 @@ class DrawsItems(Protocol):
     step's shards, so that the mean of the shards' losses is the loss of the whole.
     """
 
-    def item(self, rng: np.random.Generator) -> Any:
-        """One item."""
+    def item(self, rng: np.random.Generator, number: int) -> Any:
+        """The `number`-th item of the training; `rng` is its own."""
 
     def collate(self, items: list[Any]) -> Batch:
         """Items as a batch, on the CPU."""
-
-
-@runtime_checkable
-class DrawsBatches(Protocol):
-    """A task that draws whole batches of ``batch_size``; each shard of a step draws its own."""
-
-    batch_size: int
-
-    def batch(self, generator: torch.Generator) -> Batch:
-        """The inputs of one forward pass."""
 
 
 class Draws:
@@ -47,14 +36,10 @@ class Draws:
         seed: of the training.
     """
 
-    def __init__(self, task: Any, engine: Engine, seed: int) -> None:
+    def __init__(self, task: DrawsItems, engine: Engine, seed: int) -> None:
         self._task = task
         self._engine = engine
         self._seed = seed
-        if not isinstance(task, DrawsItems):
-            if not isinstance(task, DrawsBatches):
-                raise TypeError("a task needs item() and collate(), or batch() and batch_size")
-            task.batch_size = engine.shard_size
         self._pool = ThreadPoolExecutor(1, "draws", initializer=engine.use_device)
         self._ahead: tuple[int, Future[list[Batch]]] | None = None
 
@@ -89,13 +74,13 @@ class Draws:
         ]
 
     def _draw_shard(self, step: int, number: int) -> Batch:
-        if not isinstance(self._task, DrawsItems):
-            drawn: Batch = self._task.batch(self.generator(step, number))
-            return drawn
         size = self._engine.shard_size
         first = self.shard(number) * size
         items = [
-            self._task.item(np.random.default_rng([self._seed, step, index]))
+            self._task.item(
+                np.random.default_rng([self._seed, step, index]),
+                step * self._engine.batch_size + index,
+            )
             for index in range(first, first + size)
         ]
         return self._task.collate(items)

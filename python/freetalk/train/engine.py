@@ -27,6 +27,7 @@ class Engine:
         device: where this process computes.
         rank: number of this process.
         num_processes: how many train together.
+        batch_size: items of a step.
         shard_size: items of one forward pass of one process.
         scaler: of fp16 gradients; passes everything on where fp16 is off.
 
@@ -51,6 +52,7 @@ class Engine:
                 f"processes times {self.accumulation} accumulation steps: it counts the items of a "
                 "whole step"
             )
+        self.batch_size = options.batch_size
         self.shard_size = options.batch_size // shards
         self._dtype = torch.float16 if options.fp16 else torch.bfloat16
         self._mixed = options.fp16 or options.bf16

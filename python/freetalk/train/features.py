@@ -15,10 +15,10 @@ import numpy.typing as npt
 import torch
 from tqdm import tqdm
 
-from freetalk.data import MotionDataset, MotionSequence
+from freetalk._files import write_json
+from freetalk.data import AtRate, MotionDataset, MotionSequence
 from freetalk.speech import SpeechEncoder, encode_speech
 from freetalk.train.augment import augment_wave, change_speed
-from freetalk.train.checkpoint import write_json
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class FeatureCache:
 
     def __init__(
         self,
-        corpus: MotionDataset,
+        corpus: MotionDataset | AtRate,
         sequences: Sequence[MotionSequence],
         encoder_dir: Path,
         directory: Path,
@@ -106,7 +106,7 @@ class FeatureCache:
 
 
 def _key(
-    corpus: MotionDataset,
+    corpus: MotionDataset | AtRate,
     sequences: Sequence[MotionSequence],
     encoder_dir: Path,
     augmentations: int,
@@ -128,7 +128,7 @@ def _key(
 
 
 def _compute(
-    corpus: MotionDataset,
+    corpus: MotionDataset | AtRate,
     sequences: Sequence[MotionSequence],
     encoder_dir: Path,
     path: Path,
@@ -167,7 +167,7 @@ def _compute(
 
 
 def _renderings(
-    corpus: MotionDataset,
+    corpus: MotionDataset | AtRate,
     sequence: MotionSequence,
     encoder: SpeechEncoder,
     rng: np.random.Generator,

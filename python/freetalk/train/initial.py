@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
 from torch import nn
-from tqdm import tqdm
 
 from freetalk import _native
 from freetalk._pretrained import PRETRAINED
+from freetalk.train.progress import notice
 
 
 def initial_weights(name: str, kind: str) -> Path:
@@ -75,5 +74,5 @@ def start_from(model: nn.Module, name: str, kind: str) -> Path:
         raise ValueError(f"task.init={name}: the emotions differ: {shown}")
     receiver.load_state_dict(state)
     note = f"; options that differ: {shown}" if shown else ""
-    tqdm.write(f"starting {kind} from {path}{note}", file=sys.stderr)
+    notice(f"starting {kind} from {path}{note}")
     return path

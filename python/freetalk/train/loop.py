@@ -7,20 +7,15 @@ same path as one that was not.
 from __future__ import annotations
 
 import math
-import os
-import signal
-import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sized
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import Any, Protocol
 
 import torch
 from torch import Tensor, nn
-from tqdm import tqdm
 
 from freetalk.train.checkpoint import (
     find_checkpoint,
@@ -28,10 +23,12 @@ from freetalk.train.checkpoint import (
     load_checkpoint,
     save_checkpoint,
 )
+from freetalk.train.checks import check_continues
 from freetalk.train.config import LoopOptions, TrainingConfig
-from freetalk.train.draws import Batch, Draws, step_seed
+from freetalk.train.draws import Batch, Draws, DrawsItems, step_seed
 from freetalk.train.engine import Engine, moved
-from freetalk.train.progress import Progress
+from freetalk.train.interrupts import stop_requests
+from freetalk.train.progress import Progress, notice
 from freetalk.train.samples import ShowsSamples, save_sample
 from freetalk.train.weights import Average, parameter_groups
 
@@ -39,8 +36,12 @@ from freetalk.train.weights import Average, parameter_groups
 _SMALLEST_SCALE = 2.0**-14
 
 
-class Task(Protocol):
-    """What differs between the trainings; it draws items or batches, see ``freetalk.train.draws``."""
+class Task(DrawsItems, Protocol):
+    """What differs between the trainings."""
+
+    @property
+    def epochs(self) -> Sized | None:
+        """The windows of an epoch, for ``loop.epochs``; ``None`` where the task has none."""
 
     @property
     def model(self) -> nn.Module:
@@ -73,6 +74,7 @@ class Trainer:
         task: what is trained.
         config: its configuration.
         out: folder to write to.
+        data: fingerprint of the data: another does not go on from this one's checkpoints.
         command: what was typed, noted with the weights.
         engine: this process among those that train together.
     """
@@ -82,6 +84,7 @@ class Trainer:
         task: Task,
         config: TrainingConfig,
         out: Path,
+        data: str,
         command: str = "",
         engine: Engine | None = None,
     ) -> None:
@@ -89,7 +92,9 @@ class Trainer:
         self.config = config
         self.options: LoopOptions = config.loop
         self.out = out
+        self.data = data
         self.command = command
+        self.max_steps = self._steps_in_all()
         self.engine = engine or Engine(config.loop)
         self.checkpoints = out / "checkpoints" / config.kind
         skips_layers = float(config.model.get("layerdrop", 0.0)) > 0
@@ -113,10 +118,14 @@ class Trainer:
         if self._resume() and self._finished():
             return self._result("finished")
         self.task.model.train()
-        progress = Progress(self.config, self.out, self.step, self.engine.is_main)
+        progress = Progress(self.config, self.out, self.step, self.max_steps, self.engine.is_main)
         draws = Draws(self.task, self.engine, self.options.seed)
-        with _stop_requests(self), progress, draws:
-            self._loop(draws, progress)
+        with stop_requests(self.request_stop), progress, draws:
+            try:
+                self._loop(draws, progress)
+            except Exception:
+                self._save_after_failure()
+                raise
             if not self._finished():
                 self._checkpoint()
                 self._say_how_to_go_on()
@@ -125,9 +134,10 @@ class Trainer:
             self._checkpoint(whole=True)
         return self._result("finished")
 
-    def request_stop(self) -> None:
-        """Ends the run after the step in progress."""
-        self._asked_to_stop = True
+    def request_stop(self) -> bool:
+        """Ends the run after the step in progress; whether that was asked for before."""
+        before, self._asked_to_stop = self._asked_to_stop, True
+        return before
 
     def _loop(self, draws: Draws, progress: Progress) -> None:
         options = self.options
@@ -215,18 +225,27 @@ class Trainer:
             f"{path}. Lower loop.learning_rate or look at that batch"
         )
 
+    def _steps_in_all(self) -> int:
+        if not self.options.epochs:
+            return self.options.max_steps
+        if self.task.epochs is None:
+            raise ValueError(f"{self.config.kind} draws crops at random: give loop.max_steps")
+        return math.ceil(self.options.epochs * len(self.task.epochs) / self.options.batch_size)
+
     def _learning_rate(self) -> float:
         options = self.options
         rate = options.learning_rate * min(1.0, (self.step + 1) / max(options.warmup_steps, 1))
-        if options.lr_schedule == "cosine":
-            cosine = 0.5 * (1 + math.cos(math.pi * min(self._progress(), 1.0)))
+        if options.lr_schedule != "constant":
+            by_clock = options.lr_schedule == "cosine_minutes"
+            done = self._progress() if by_clock else self.step / self.max_steps
+            cosine = 0.5 * (1 + math.cos(math.pi * min(done, 1.0)))
             rate *= options.lr_final + (1 - options.lr_final) * cosine
         return rate
 
     def _progress(self) -> float:
         minutes = self.options.max_minutes
         by_clock = self.elapsed_s / (60 * minutes) if minutes > 0 else 0.0
-        return max(self.step / self.options.max_steps, by_clock)
+        return max(self.step / self.max_steps, by_clock)
 
     def _finished(self) -> bool:
         return self._progress() >= 1.0
@@ -251,9 +270,12 @@ class Trainer:
         if self.engine.is_main:
             began = time.perf_counter()
             with self._evaluating():
-                self.scores = self.task.validate()
-                if self.options.keep == "last" or self.scores["score"] <= self.best:
-                    self.best = self.scores["score"]
+                # Lips that never move have no correlation; JSON has no NaN, and C++ reads the scores.
+                found = self.task.validate().items()
+                self.scores = {name: value for name, value in found if math.isfinite(value)}
+                score = self.scores.get("score", math.inf)
+                if self.options.keep == "last" or score <= self.best:
+                    self.best = score
                     self.task.export(self.out / self.config.kind, self._training_record())
             progress.show_scores(self.step, self.scores, time.perf_counter() - began)
         self.scores = self.engine.from_main(self.scores)
@@ -274,6 +296,7 @@ class Trainer:
             "seed": self.options.seed,
             "command": self.command,
             "commit": git_commit(),
+            "data_fingerprint": self.data,
             "steps": self.step,
             "minutes": round(self.elapsed_s / 60, 2),
             "processes": self.engine.num_processes,
@@ -284,30 +307,45 @@ class Trainer:
     def _checkpoint(self, whole: bool = False) -> None:
         """Saves what the training goes on from; `whole` where nothing is left to do."""
         if self.engine.is_main and self._saved_step != self.step:
-            tensors = {"training": dict(self.task.model.state_dict())}
-            if self.average.weights:
-                tensors["average"] = self.average.weights
-            optimizer = {"adamw": self.optimizer.state_dict()}
-            if self.options.fp16:
-                optimizer["scaler"] = self.engine.scaler.state_dict()
-            state = {
-                "config": self.config.to_dict(),
-                "elapsed_s": self.elapsed_s,
-                "best": self.best if math.isfinite(self.best) else None,
-                "scores": self.scores,
-                "finished": whole,
-            }
-            save_checkpoint(
-                self.checkpoints,
-                self.step,
-                tensors,
-                optimizer,
-                state,
-                self._export,
-                self.options.keep_checkpoints,
-            )
-            self._saved_step = self.step
+            self._save(whole)
         self.engine.from_main(None)
+
+    def _save(self, whole: bool) -> None:
+        """Writes a checkpoint of the steps so far."""
+        tensors = {"training": dict(self.task.model.state_dict())}
+        if self.average.weights:
+            tensors["average"] = self.average.weights
+        optimizer = {"adamw": self.optimizer.state_dict()}
+        if self.options.fp16:
+            optimizer["scaler"] = self.engine.scaler.state_dict()
+        state = {
+            "config": self.config.to_dict(),
+            "data": self.data,
+            "elapsed_s": self.elapsed_s,
+            "best": self.best if math.isfinite(self.best) else None,
+            "scores": self.scores,
+            "finished": whole,
+        }
+        save_checkpoint(
+            self.checkpoints,
+            self.step,
+            tensors,
+            optimizer,
+            state,
+            self._export,
+            self.options.keep_checkpoints,
+        )
+        self._saved_step = self.step
+
+    def _save_after_failure(self) -> None:
+        """Keeps the steps before an error; nobody waits for the other processes, which may have died of it."""
+        if not self.engine.is_main or self._saved_step == self.step or self.step == 0:
+            return
+        try:
+            self._save(whole=False)
+            self._say_how_to_go_on()
+        except Exception as error:  # the first error is the one to tell
+            notice(f"the {self.step} steps before could not be saved: {error}")
 
     def _export(self, directory: Path) -> None:
         with self._evaluating():
@@ -315,15 +353,11 @@ class Trainer:
 
     def _resume(self) -> bool:
         """Goes to where a checkpoint was; whether that was the end."""
+        check_continues(self.checkpoints, self.config, self.data)
         found = find_checkpoint(self.checkpoints)
         if found is None:
             return False
         tensors, optimizer, state = load_checkpoint(found)
-        if state["config"]["model"] != self.config.to_dict()["model"]:
-            raise ValueError(
-                f"{found} was trained with other model options; give another --out or delete "
-                f"{self.checkpoints}"
-            )
         self.task.model.load_state_dict(tensors["training"])
         if self.options.ema_decay > 0:
             self.average = Average(self.task.model, self.options.ema_decay)
@@ -336,17 +370,15 @@ class Trainer:
         self.elapsed_s = float(state["elapsed_s"])
         self.best = math.inf if state["best"] is None else float(state["best"])
         self.scores = state["scores"]
-        if self.engine.is_main:
-            tqdm.write(f"continuing {self.out} after step {self.step}", file=sys.stderr)
+        self._saved_step = self.step
+        notice(f"continuing {self.out} after step {self.step}")
         return bool(state["finished"])
 
     def _say_how_to_go_on(self) -> None:
-        if self.engine.is_main:
-            tqdm.write(
-                f"stopped after step {self.step} and saved; the same command continues from there "
-                f"({self.checkpoints})",
-                file=sys.stderr,
-            )
+        notice(
+            f"stopped after step {self.step} and saved; the same command continues from there "
+            f"({self.checkpoints})"
+        )
 
     def _result(self, status: str) -> TrainingResult:
         return TrainingResult(status, self.step, self.scores, self.out / self.config.kind)
@@ -363,30 +395,3 @@ class _Loss(nn.Module):
     def forward(self, batch: Batch, generator: torch.Generator) -> dict[str, Tensor]:
         """The task's terms."""
         return self._loss(batch, generator)
-
-
-@contextmanager
-def _stop_requests(trainer: Trainer) -> Iterator[None]:
-    """The first Ctrl-C (or SIGTERM) ends after the step, the second at once.
-
-    ``torchrun`` passes on the signal that its processes had already, and ends them after a grace time.
-    """
-    launched = "TORCHELASTIC_RUN_ID" in os.environ
-
-    def handle(number: int, frame: FrameType | None) -> None:
-        if trainer._asked_to_stop and not launched:
-            raise KeyboardInterrupt
-        repeated = trainer._asked_to_stop
-        trainer.request_stop()
-        if trainer.engine.is_main and not repeated:
-            tqdm.write("stopping after this step; once more to stop at once", file=sys.stderr)
-
-    try:
-        before = {s: signal.signal(s, handle) for s in (signal.SIGINT, signal.SIGTERM)}
-    except ValueError:  # signals belong to the main thread
-        before = {}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -5,10 +5,14 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+#: Of a metre. Losses count in square millimetres: in square metres gradients lie below Adam's epsilon, which
+#: then, and not the learning rate, would set the steps.
+MILLIMETRES = 1000.0
+
 _CLOSED_SHARE = 0.15  # of the usual opening
 _CLOSED_ENOUGH = 0.6  # of the opening that counts as closed
 _CLOSURE_FRAMES = 4  # around a closure in which the lips are open
-_LEAST_OPENING = 1e-4  # m, of a batch that hardly speaks
+_LEAST_OPENING = 1e-4  # m, of motion that hardly speaks
 
 
 def motion_loss(
@@ -79,28 +83,45 @@ def _squared_norms(error: Tensor, valid: Tensor, point_weights: Tensor | None) -
     return (squared.mean(dim=-1) * valid).sum()
 
 
-def closure_error(opening: Tensor, wanted: Tensor, valid: Tensor) -> Tensor:
+def closure_error(
+    opening: Tensor,
+    wanted: Tensor,
+    valid: Tensor,
+    usual: float,
+    count: Tensor | None = None,
+) -> Tensor:
     """How far lips are open that should be closed for a moment, as in p, b and m.
 
-    The mean square of what the opening exceeds 9 % of the usual by, where the wanted one is at most 15 % of the usual
-    and rises above twice that within four frames, so that long pauses do not count. A denoiser that is unsure when lips
-    close otherwise answers with half-open ones. Lips that are closed enough feel no pull: pressing them further
-    would also lower the openings around, where the denoiser is no surer.
+    The mean square of what the opening exceeds 9 % of the usual by, in the frames of :func:`closures`. A denoiser that
+    is unsure when lips close otherwise answers with half-open ones. Lips that are closed enough feel no pull: pressing
+    them further would also lower the openings around, where the denoiser is no surer.
 
     Args:
         opening: (..., T) m.
         wanted: (..., T) m.
         valid: (..., T) bool.
+        usual: root mean square of the openings of all data, m.
+        count: scalar that the sum over frames is divided by, in place of the frames of
+            :func:`closures`: as for :func:`motion_loss`.
 
     Returns:
-        Scalar, relative to the square of the usual opening: the root mean square of the wanted one.
+        Scalar, relative to the square of the usual opening.
     """
-    usual = (wanted.square() * valid).sum() / valid.sum().clamp_min(1)
-    closed = _CLOSED_SHARE * usual.sqrt()
+    usual = max(usual, _LEAST_OPENING)
+    counted = closures(wanted, valid, usual)
+    excess = (opening - _CLOSED_ENOUGH * _CLOSED_SHARE * usual).clamp_min(0)
+    frames = counted.sum() if count is None else count
+    return (excess.square() * counted).sum() / frames.clamp_min(1) / usual**2
+
+
+def closures(wanted: Tensor, valid: Tensor, usual: float) -> Tensor:
+    """Frames (..., T) bool whose lips should be closed for a moment.
+
+    Their opening is at most 15 % of the usual and rises above twice that within four frames, so that long pauses do
+    not count. Arguments as for :func:`closure_error`.
+    """
+    closed = _CLOSED_SHARE * max(usual, _LEAST_OPENING)
     reach = 2 * _CLOSURE_FRAMES + 1
     rows = (wanted * valid).reshape(-1, 1, wanted.shape[-1])
     nearby = torch.nn.functional.max_pool1d(rows, reach, stride=1, padding=_CLOSURE_FRAMES)
-    counted = valid & (wanted <= closed) & (nearby.view_as(wanted) > 2 * closed)
-    excess = (opening - _CLOSED_ENOUGH * closed).clamp_min(0)
-    squared = (excess.square() * counted).sum() / counted.sum().clamp_min(1)
-    return squared / usual.clamp_min(_LEAST_OPENING**2)
+    return valid & (wanted <= closed) & (nearby.view_as(wanted) > 2 * closed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
 from pathlib import Path
@@ -15,6 +16,12 @@ from tqdm import tqdm
 from freetalk.train.config import TrainingConfig
 
 
+def notice(text: str) -> None:
+    """A line beside the bar, from one of the processes that train together."""
+    if int(os.environ.get("RANK", "0")) == 0:
+        tqdm.write(text, file=sys.stderr)
+
+
 class Progress:
     """The bar and the TensorBoard writer of the main process; other processes show nothing.
 
@@ -22,11 +29,14 @@ class Progress:
         config: of the training.
         out: its output folder.
         step: where it starts or goes on; later points of an earlier run are dropped.
+        steps: where it ends.
         shown: whether this process shows anything.
     """
 
-    def __init__(self, config: TrainingConfig, out: Path, step: int, shown: bool) -> None:
-        self._options = config.loop
+    def __init__(
+        self, config: TrainingConfig, out: Path, step: int, steps: int, shown: bool
+    ) -> None:
+        self._options, self._steps = config.loop, steps
         self._kind = config.kind
         self._shown = shown
         self._bar: Any = tqdm(
@@ -78,10 +88,10 @@ class Progress:
         if logged:
             for name, value in {**terms, "items_per_second": rate}.items():
                 self._writer.add_scalar(f"train/{name}", value, step)
-        left = elapsed_s * (1 - done) / done
+        left = elapsed_s * max(1 - done, 0.0) / done
         self._bar.n = min(done, 1.0)
         self._bar.set_description_str(
-            f"{self._kind} step {step}/{self._options.max_steps}, loss {terms['loss']:.4g}, {rate:.1f} items/s, "
+            f"{self._kind} step {step}/{self._steps}, loss {terms['loss']:.4g}, {rate:.1f} items/s, "
             f"{_clock(elapsed_s)} so far, {_clock(left)} left"
         )
         self._drawn_at = now

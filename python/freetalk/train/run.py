@@ -7,8 +7,10 @@ from pathlib import Path
 
 import torch
 
-from freetalk.data import MotionDataset, OpenCorpus, open_datasets
-from freetalk.train.checkpoint import git_commit, write_json
+from freetalk._files import write_json
+from freetalk.data import MotionDataset, open_datasets
+from freetalk.train.checkpoint import git_commit
+from freetalk.train.checks import check_continues, check_motion
 from freetalk.train.config import TrainingConfig, load_config
 from freetalk.train.engine import Engine
 from freetalk.train.initial import start_from
@@ -55,18 +57,27 @@ def run(
     with engine.main_first():
         corpus = open_datasets(data)
         corpus.check()
-        torch.manual_seed(config.loop.seed)  # initial weights
+        check_continues(out / "checkpoints" / kind, config, corpus.fingerprint)
         task = make_task(config, corpus, out, engine.device)
+    command = f"freetalk train {kind} --config {Path(config_path).name} --data CORPUS --out OUT"
+    trainer = Trainer(
+        task, config, out, corpus.fingerprint, " ".join([command, *overrides]), engine
+    )
     if engine.is_main:
         _write_run_record(out, config, data, corpus)
-    command = f"freetalk train {kind} --config {Path(config_path).name} --data CORPUS --out OUT"
-    return Trainer(task, config, out, " ".join([command, *overrides]), engine).run()
+    return trainer.run()
 
 
 def make_task(
     config: TrainingConfig, corpus: MotionDataset, out: Path, device: torch.device
 ) -> Task:
-    """The task of a configuration's kind, its model on `device` with its initial weights."""
+    """The task of a configuration's kind, its model on `device` with its initial weights.
+
+    Raises:
+        ValueError: the data is not what the task needs, or holds motion that is not finite.
+    """
+    check_motion(corpus, out / "cache")
+    torch.manual_seed(config.loop.seed)  # initial weights
     task = _new_task(config, corpus, out, device)
     if config.task.init:
         start_from(task.model, config.task.init, config.kind)
@@ -85,11 +96,6 @@ def _new_task(
         from freetalk.train.stm import StmTask
 
         return StmTask(config, corpus, out, device)
-    if not isinstance(corpus, OpenCorpus):
-        raise ValueError(
-            f"{corpus.name} has no phones and expression curves, which the speech encoder learns from; "
-            "train it on the open corpus ('freetalk corpus build')"
-        )
     from freetalk.train.speech import SpeechTask
 
     return SpeechTask(config, corpus, out, device)
@@ -108,6 +114,7 @@ def _write_run_record(
         "config": config.to_dict(),
         "data": given,
         "datasets": corpus.describe(),
+        "data_fingerprint": corpus.fingerprint,
         "commit": git_commit(),
     }
     write_json(out / f"run_{config.kind}.json", record)

@@ -16,12 +16,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from freetalk.data import MotionSequence, OpenCorpus
+from freetalk.data import MotionDataset, MotionSequence
 from freetalk.speech import SpeechEncoder, SpeechEncoderOptions, normalize_wave
 from freetalk.train.augment import augment_wave, change_speed
 from freetalk.train.checkpoint import export_model
+from freetalk.train.checks import NO_VALIDATION
 from freetalk.train.config import TrainingConfig
-from freetalk.train.sampling import SequenceSampler, numpy_generator
+from freetalk.train.engine import moved
+from freetalk.train.progress import notice
+from freetalk.train.sampling import SequenceSampler, present_weights
 from freetalk.train.speech_recordings import RECORDED, Recordings
 from freetalk.train.speech_targets import IGNORED_PHONE, SpeechTargets, log_mel
 from freetalk.train.task_options import SpeechTaskOptions
@@ -62,8 +65,10 @@ class SpeechModel(nn.Module):
 class SpeechTask:
     """Random crops of the train split, altered in sound, with targets at the encoder's frames."""
 
+    epochs = None  # crops begin anywhere
+
     def __init__(
-        self, config: TrainingConfig, corpus: OpenCorpus, out: Path, device: torch.device
+        self, config: TrainingConfig, corpus: MotionDataset, out: Path, device: torch.device
     ) -> None:
         assert isinstance(config.task, SpeechTaskOptions)
         self.options = config.task
@@ -73,12 +78,23 @@ class SpeechTask:
         self.recordings = Recordings(self.options.recordings, corpus.fps)
         heard = [s for s in corpus.sequences("train") if s.audio is not None]
         heard += self.recordings.sequences
-        self.sampler = SequenceSampler(heard, self.options.source_weights)
+        shares = present_weights((s.source for s in heard), self.options.source_weights)
+        self.sampler = SequenceSampler(heard, shares)
         self.targets = SpeechTargets(corpus, self.sampler.sequences, self.recordings)
         self.sources = sorted({s.source for s in self.sampler.sequences})
         self.held_out = [
             s for s in corpus.sequences("val") if s.audio is not None and s.source in self.sources
         ]
+        if not self.held_out:
+            raise ValueError(NO_VALIDATION.format(corpus.name, "sequences with sound"))
+        named = self.options.motion_sources
+        self._taught = [s for s in named if s in self.sources] or self.sources
+        if self.targets.num_curves == 0:
+            notice(
+                f"{corpus.name} has no phones and expression curves: the encoder learns from spectra and "
+                "lip opening alone; start it from given weights (task.init=open-small), or add aligned "
+                "speech (task.recordings)"
+            )
         options = SpeechEncoderOptions.from_dict(config.model)
         self.model: SpeechModel = SpeechModel(
             options,
@@ -92,17 +108,32 @@ class SpeechTask:
         if options.conv_kernel[0] >= 160:
             self._start_from_filters(options.conv_dim[0], options.conv_kernel[0])
 
-    def batch(self, generator: torch.Generator) -> dict[str, Any]:
-        """Crops with their targets."""
-        rng = numpy_generator(generator)
-        items = [self._crop(self.sampler.draw(rng), rng) for _ in range(self.batch_size)]
-        return self._stack(items)
+    def item(self, rng: np.random.Generator, number: int) -> dict[str, npt.NDArray[Any]]:
+        """A crop with its targets."""
+        return self._crop(self.sampler.draw(rng), rng)
+
+    def collate(self, items: list[dict[str, npt.NDArray[Any]]]) -> dict[str, Any]:
+        """Crops of one length side by side; ``counts`` of frames with a phone, with sound, with motion."""
+        batch: dict[str, Any] = {
+            key: torch.from_numpy(np.stack([item[key] for item in items]))
+            for key in ("phones", "curves", "opening", "valid", "moving", "source")
+        }
+        wave, clean = (
+            normalize_wave(torch.from_numpy(np.stack([item[key] for item in items])))
+            for key in ("wave", "clean")
+        )
+        frames = batch["phones"].shape[1]
+        batch["phones"] = batch["phones"].masked_fill(~batch["valid"], IGNORED_PHONE)
+        batch["moving"] = batch["moving"] & batch["valid"]
+        batch["wave"] = wave
+        batch["mels"] = log_mel(clean, frames, self._timing.offset_s, self.options.num_mels)
+        counted = (batch["phones"] != IGNORED_PHONE, batch["valid"], batch["moving"])
+        batch["counts"] = torch.stack([frame.sum() for frame in counted]).float()
+        return batch
 
     def loss(self, batch: dict[str, Any], generator: torch.Generator) -> dict[str, Tensor]:
         """Weighted sum of the four teachers' losses."""
-        phones, mels, curves, opening = self._predict(batch)
-        valid = batch["valid"]
-        return self._terms(batch, phones, mels, curves, opening, valid)
+        return self._terms(batch, *self._predict(batch))
 
     def validate(self) -> dict[str, float]:
         """Loss, phone accuracy and opening correlation on unaltered crops of the val split."""
@@ -110,10 +141,11 @@ class SpeechTask:
         predicted: dict[str, list[npt.NDArray[np.float32]]] = {}
         true: dict[str, list[npt.NDArray[np.float32]]] = {}
         for batch in self._validation_batches():
-            phones, mels, curves, opening = self._predict(batch)
+            predictions = self._predict(batch)
+            phones, _, _, opening = predictions
             valid = batch["valid"]
-            terms = self._terms(batch, phones, mels, curves, opening, valid)
-            known = (batch["phones"] != IGNORED_PHONE) & valid
+            terms = self._terms(batch, *predictions)
+            known = batch["phones"] != IGNORED_PHONE
             if bool(known.any()):
                 hits = (phones.argmax(-1) == batch["phones"])[known].float().mean()
                 sums.setdefault("phone_accuracy", []).append(float(hits))
@@ -153,21 +185,21 @@ class SpeechTask:
         mels: Tensor,
         curves: Tensor,
         opening: Tensor,
-        valid: Tensor,
     ) -> dict[str, Tensor]:
         o = self.options
-        labels = batch["phones"].masked_fill(~valid, IGNORED_PHONE)
-        count = (labels != IGNORED_PHONE).sum().clamp_min(1)
+        labelled, heard, moving = batch["counts"].clamp_min(1).unbind()
         entropy = functional.cross_entropy(
-            phones.float().flatten(0, 1), labels.flatten(), reduction="sum", label_smoothing=0.05
+            phones.float().flatten(0, 1),
+            batch["phones"].flatten(),
+            reduction="sum",
+            label_smoothing=0.05,
         )
+        wanted = batch["opening"][..., None]
         terms = {
-            "phones": entropy / count,
-            "mels": _mean_square(mels, batch["mels"], valid),
-            "curves": _mean_square(curves, batch["curves"], valid & batch["moving"]),
-            "opening": _mean_square(
-                opening[..., None], batch["opening"][..., None], valid & batch["moving"]
-            ),
+            "phones": entropy / labelled,
+            "mels": _square(mels, batch["mels"], batch["valid"]) / heard,
+            "curves": _square(curves, batch["curves"], batch["moving"]) / moving,
+            "opening": _square(opening[..., None], wanted, batch["moving"]) / moving,
         }
         terms["loss"] = (
             o.phone_weight * terms["phones"]
@@ -224,38 +256,19 @@ class SpeechTask:
             wave = augment_wave(clean, rng, rate)
         at_source = (start / rate + centres / rate * speed).astype(np.float32)
         curves, opening = self.targets.motion_at(sequence, at_source)
-        taught = self.options.motion_sources
-        moving = (not taught or sequence.source in taught) and sequence.source != RECORDED
+        moving = sequence.source in self._taught and sequence.source != RECORDED
         return {
             "wave": wave,
             "clean": clean,
             "phones": self.targets.phones_at(sequence, at_source),
             "curves": curves,
             "opening": opening,
-            "valid": (centres < heard) & (at_source * self.corpus.fps < sequence.num_frames),
+            "valid": (centres < heard) & (at_source * sequence.fps < sequence.num_frames),
             "moving": np.full(len(centres), moving),
             "source": np.full(len(centres), self.sources.index(sequence.source)),
         }
 
-    def _stack(self, items: list[dict[str, Any]]) -> dict[str, Any]:
-        batch: dict[str, Any] = {
-            key: torch.from_numpy(np.stack([item[key] for item in items])).to(self.device)
-            for key in ("phones", "curves", "opening", "valid", "moving", "source")
-        }
-        wave = torch.from_numpy(np.stack([item["wave"] for item in items])).to(self.device)
-        clean = torch.from_numpy(np.stack([item["clean"] for item in items])).to(self.device)
-        batch["wave"] = normalize_wave(wave)
-        batch["mels"] = log_mel(
-            normalize_wave(clean),
-            batch["phones"].shape[1],
-            self._timing.offset_s,
-            self.options.num_mels,
-        )
-        return batch
-
     def _validation_batches(self) -> list[dict[str, Any]]:
-        if not self.held_out:
-            raise ValueError("the corpus has no sequences with audio in its val split")
         rng = np.random.default_rng(_VALIDATION_SEED)
         per_source = max(1, self.options.validation_crops // len(self.sources))
         items = []
@@ -266,7 +279,8 @@ class SpeechTask:
                 drawn = [sampler.draw(rng) for _ in range(per_source)]
                 items += [self._crop(s, rng, altered=False) for s in drawn]
         size = self.batch_size
-        return [self._stack(items[i : i + size]) for i in range(0, len(items), size)]
+        parts = [self.collate(items[i : i + size]) for i in range(0, len(items), size)]
+        return [moved(part, self.device) for part in parts]
 
     def _wave(self, sequence: MotionSequence) -> npt.NDArray[np.int16]:
         if sequence.id not in self._audio:
@@ -315,6 +329,7 @@ def gabor_bank(channels: int, taps: int, sample_rate_hz: int) -> Tensor:
     return bank.flatten(0, 1)[:channels, None]
 
 
-def _mean_square(prediction: Tensor, target: Tensor, valid: Tensor) -> Tensor:
-    squared = (prediction.float() - target).square().mean(dim=-1) * valid
-    return squared.sum() / valid.sum().clamp_min(1)
+def _square(prediction: Tensor, target: Tensor, counted: Tensor) -> Tensor:
+    """Sum over the counted frames of the mean square over channels; 0 without channels."""
+    squared = (prediction.float() - target).square().sum(dim=-1) * counted
+    return squared.sum() / max(target.shape[-1], 1)

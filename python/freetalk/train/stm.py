@@ -13,8 +13,9 @@ from freetalk.data import MotionDataset
 from freetalk.stm import Stm, StmOptions
 from freetalk.train.checkpoint import export_model
 from freetalk.train.config import TrainingConfig
-from freetalk.train.losses import motion_loss
+from freetalk.train.losses import MILLIMETRES, motion_loss
 from freetalk.train.samples import Sample
+from freetalk.train.sampling import Epochs
 from freetalk.train.stm_cuts import FaceCuts
 from freetalk.train.stm_meshes import (
     Placement,
@@ -29,12 +30,12 @@ _VALIDATION_SEED = 40
 _VALIDATION_MESHES = 4
 #: Frames of a sample to look at.
 _SAMPLE_FRAMES = 90
-#: Mean square displacement (m^2) below which a window counts as this much: 1 mm.
-_RELATIVE_FLOOR = 0.001**2
-#: Rounds the cone of the vertex error's norm off (m).
-_NORM_FLOOR = 1e-5
-#: Mean displacement (m) below which a window counts as this much.
-_MOTION_FLOOR = 2e-4
+#: Mean square displacement (mm^2) below which a window counts as this much.
+_RELATIVE_FLOOR = 1.0
+#: Rounds the cone of the vertex error's norm off (mm).
+_NORM_FLOOR = 0.01
+#: Mean displacement (mm) below which a window counts as this much.
+_MOTION_FLOOR = 0.2
 
 
 class StmTask:
@@ -57,11 +58,17 @@ class StmTask:
         self._held_out_meshes = self._prepare("val", _VALIDATION_MESHES, 0)
         shares, frames = self.options.source_weights, self.options.frames
         self.windows = FaceWindows(corpus, self.meshes, "train", shares, frames)
+        self.epochs = Epochs(self.windows.sampler.sequences, frames, config.loop.seed)
+        self._in_epochs = config.loop.epochs > 0
         self.held_out = FaceWindows(corpus, self._held_out_meshes, "val", {}, frames)
 
-    def item(self, rng: np.random.Generator) -> dict[str, Any]:
+    def item(self, rng: np.random.Generator, number: int) -> dict[str, Any]:
         """A face, its place, and a window of motion."""
-        window = self.windows.draw(rng)
+        if self._in_epochs:
+            sequence, start = self.epochs.window(number)
+            window = self.windows.on_any(sequence, rng, start)
+        else:
+            window = self.windows.draw(rng)
         placement = random_placement(
             rng,
             self.options.rotation_deg,
@@ -165,6 +172,7 @@ class StmTask:
 
     def _terms(self, mesh: PreparedMesh, prediction: Tensor, target: Tensor) -> dict[str, Tensor]:
         o = self.options
+        prediction, target = MILLIMETRES * prediction, MILLIMETRES * target
         weights = None
         if o.lip_weight != 1.0:
             weights = 1.0 + (o.lip_weight - 1.0) * mesh.lip_mask.float()
@@ -173,12 +181,10 @@ class StmTask:
             prediction, target, None, o.lambda_velocity, o.lambda_acceleration, weights
         )
         error = prediction - target
-        terms["error_mm"] = 1000 * error.detach().norm(dim=-1).mean()
+        terms["error_mm"] = error.detach().norm(dim=-1).mean()
         if o.relative:
             size = target.square().sum(dim=-1).mean().clamp_min(_RELATIVE_FLOOR)
             terms["loss"] = terms["loss"] / size
-        else:
-            terms["loss"] = terms["loss"] * 1e6  # mm^2: keeps gradients clear of Adam's epsilon
         if o.error_weight > 0:
             norms = (error.square().sum(dim=-1) + _NORM_FLOOR**2).sqrt()
             norms = norms if weights is None else norms * weights

@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from freetalk.data import MotionDataset
 from freetalk.geometry import SurfaceOperators, surface_operators
+from freetalk.train.progress import notice
 from freetalk.train.stm_cuts import FaceCuts
 
 
@@ -148,14 +149,17 @@ def prepare_meshes(
         corpus: where they come from.
         split: of both identities and meshings.
         count: how many pairs, 0 for all.
-        max_vertices: larger meshings are left out, 0 for no limit.
+        max_vertices: larger meshings are left out if smaller ones are there, 0 for no limit.
         length_scale: metres per unit of the operators.
         k_eig: eigenpairs.
         cache_dir: folder of operators, empty for the user's cache.
         device: where the tensors go.
         cuts: what the faces lose; None leaves them whole.
     """
-    pairs = corpus.faces(split, max_vertices)
+    small = corpus.faces(split, max_vertices)
+    pairs = small or corpus.faces(split)
+    if pairs and not small:
+        notice(f"no face of {corpus.name} has at most {max_vertices} vertices: all are taken")
     if not pairs:
         raise ValueError(f"{corpus.name} has no faces or no meshings in its {split} split")
     return [

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freetalk.data import MixedDataset, MotionDataset, MotionSequence, OpenCorpus
-from freetalk.train.sampling import SequenceSampler
+from freetalk.train.sampling import SequenceSampler, present_weights
 from freetalk.train.stm_meshes import PreparedMesh, random_weights
 
 FloatArray = npt.NDArray[np.float32]
@@ -39,11 +39,12 @@ class FaceWindows:
         meshes: the faces.
         split: of the sequences.
         source_weights: share of each source; ``random`` is drawn combinations of the open corpus's
-            expressions. Empty takes all sources in proportion to their length.
+            expressions. Sources that are not there are left out. Empty takes all sources in
+            proportion to their length.
         frames: T.
 
     Raises:
-        ValueError: no sequence can move any of the faces, or ``random`` without the open corpus.
+        ValueError: no sequence can move any of the faces.
     """
 
     def __init__(
@@ -60,27 +61,31 @@ class FaceWindows:
         for index, mesh in enumerate(self._meshes):
             for key in ((mesh.dataset, -1, ""), (mesh.dataset, mesh.identity, mesh.topology)):
                 self._by_key.setdefault(key, []).append(index)
-        weights = dict(source_weights)
-        total = sum(weights.values())
-        self._random_share = weights.pop("random", 0.0) / total if total else 0.0
         movable = [s for s in corpus.sequences(split) if _key(s) in self._by_key]
         if not movable:
             raise ValueError(
                 f"no {split} sequence of {corpus.name} moves one of the {len(self._meshes)} faces "
                 "taken; raise task.num_meshes or task.max_vertices"
             )
-        self.sampler = SequenceSampler(movable, weights)
         self._of_mesh: dict[int, SequenceSampler] = {}
-        if self._random_share > 0:
-            self._prepare_expressions()
+        expressive = ["random"] if "random" in source_weights and self._find_expressions() else []
+        weights = present_weights([*(s.source for s in movable), *expressive], source_weights)
+        total = sum(weights.values())
+        self._random_share = weights.pop("random", 0.0) / total if total else 0.0
+        self.sampler = SequenceSampler(movable, weights)
 
     def draw(self, rng: np.random.Generator) -> Window:
         """A window of a drawn sequence, or of drawn expressions, on a face that it moves."""
         if rng.random() < self._random_share:
             return self._drawn_expressions(rng)
-        sequence = self.sampler.draw(rng)
+        return self.on_any(self.sampler.draw(rng), rng)
+
+    def on_any(
+        self, sequence: MotionSequence, rng: np.random.Generator, first: int | None = None
+    ) -> Window:
+        """A window of a sequence, at a given or a drawn place, on a drawn one of the faces that it moves."""
         fitting = self._by_key[_key(sequence)]
-        return self.of(sequence, fitting[int(rng.integers(len(fitting)))], rng)
+        return self.of(sequence, fitting[int(rng.integers(len(fitting)))], rng, first)
 
     def draw_on(self, mesh: int, rng: np.random.Generator) -> Window:
         """A window of a drawn sequence on a given face."""
@@ -90,9 +95,16 @@ class FaceWindows:
         """The first sequence that moves a face."""
         return self._sampler_of(mesh).sequences[0]
 
-    def of(self, sequence: MotionSequence, mesh: int, rng: np.random.Generator) -> Window:
-        """A window at a drawn place of a sequence."""
-        start = int(rng.integers(0, max(1, sequence.num_frames - self.frames + 1)))
+    def of(
+        self,
+        sequence: MotionSequence,
+        mesh: int,
+        rng: np.random.Generator,
+        first: int | None = None,
+    ) -> Window:
+        """A window of a sequence that begins at frame `first`, or at a drawn one."""
+        drawn = int(rng.integers(0, max(1, sequence.num_frames - self.frames + 1)))
+        start = drawn if first is None else first
         stop = start + self.frames
         face = self._meshes[mesh]
         moved = self.corpus.vertex_displacements(face.topology, sequence, start, stop)
@@ -107,19 +119,18 @@ class FaceWindows:
             self._of_mesh[mesh] = SequenceSampler(own, {})
         return self._of_mesh[mesh]
 
-    def _prepare_expressions(self) -> None:
+    def _find_expressions(self) -> bool:
+        """Looks for faces of the open corpus, which alone can show drawn expressions."""
         parts = self.corpus.parts if isinstance(self.corpus, MixedDataset) else {"": self.corpus}
         found = [(name, p) for name, p in parts.items() if isinstance(p, OpenCorpus)]
         key = (found[0][0] or found[0][1].name, -1, "") if found else ("", -1, "")
         if key not in self._by_key:
-            raise ValueError(
-                "task.source_weights asks for random expressions, which only faces of the open corpus "
-                "can show; add it with --data, or leave 'random' out"
-            )
+            return False
         self._prefix = f"{found[0][0]}/" if found[0][0] else ""
         self._expressive, self._faces = found[0][1], self._by_key[key]
         self._basis, determined = self._expressive.landmark_basis()
         self._drawable = np.flatnonzero(determined)
+        return True
 
     def _drawn_expressions(self, rng: np.random.Generator) -> Window:
         names = self._expressive.expressions

@@ -18,8 +18,8 @@ class AtsTaskOptions:
         init: weights to start from: their folder, a training's output folder, or the name of
             installed ones (``open-small``), whose motion statistics stay; empty starts from random
             ones.
-        speech_encoder: folder of the speech encoder; empty takes ``OUT/speech``, else the one beside
-            the weights of `init`, else the shipped one.
+        speech_encoder: folder of the speech encoder, or the name of installed weights
+            (``open-small``); empty takes ``OUT/speech``, else the one beside the weights of `init`.
         feature_cache: folder of the computed speech features; empty takes ``OUT/cache``.
         feature_augmentations: extra copies of the features from changed audio (noise, room,
             band limits, speed).
@@ -43,11 +43,14 @@ class AtsTaskOptions:
         blend: share of the windows that are convex combinations of two, in features, motion, emotion
             and intensity [mixup, Zhang et al. 2018]: between what was heard the answer is
             linear, which carries over better to other ways of speaking; 0 is the paper.
-        source_weights: share of each source in the batches; others are left out. Empty takes all
-            in proportion to their length.
+        position_offsets: windows shorter than ``model.max_frames`` begin at random learned positions,
+            so that all of them are trained.
+        source_weights: share of each source in the batches; others are left out, and so are names
+            that the data lacks. Empty takes all in proportion to their length.
         lambda_velocity: weight of Eq. 15's velocity term.
         lambda_acceleration: weight of Eq. 15's acceleration term.
-        loss_units: ``normalised`` (each coordinate by its spread) or ``metres`` (the paper).
+        loss_units: ``millimetres`` (the paper's loss of positions) or ``normalised`` (each coordinate by
+            its spread).
         lip_weight: weight of the 20 lip landmarks; 1 weighs all alike (the paper).
         eye_weight: weight of the 12 landmarks of the eyelids, so that blinks are learnt, which are
             rare; 1 weighs all alike (the paper).
@@ -70,10 +73,11 @@ class AtsTaskOptions:
     affect_dropout: float = 0.0
     mosaic: float = 0.0
     blend: float = 0.0
+    position_offsets: bool = True
     source_weights: dict[str, float] = field(default_factory=dict)
     lambda_velocity: float = 0.3
     lambda_acceleration: float = 0.1
-    loss_units: str = "metres"
+    loss_units: str = "millimetres"
     lip_weight: float = 1.0
     eye_weight: float = 1.0
     opening_weight: float = 0.0
@@ -92,8 +96,8 @@ class AtsTaskOptions:
         require(0 <= self.mosaic <= 1, "task.mosaic must be in [0, 1]", self.mosaic)
         require(0 <= self.blend <= 1, "task.blend must be in [0, 1]", self.blend)
         require(
-            self.loss_units in ("metres", "normalised"),
-            "task.loss_units must be metres or normalised",
+            self.loss_units in ("millimetres", "normalised"),
+            "task.loss_units must be millimetres or normalised",
             self.loss_units,
         )
         require(self.lip_weight > 0, "task.lip_weight must be positive", self.lip_weight)
@@ -110,12 +114,14 @@ class StmTaskOptions:
         operator_cache: folder of the surface operators; empty takes the user's cache.
         frames: consecutive frames of a window.
         num_meshes: (identity, topology) pairs of the train split that are drawn, 0 for all.
-        max_vertices: meshings with more vertices are left out of training, 0 for no limit.
+        max_vertices: meshings with more vertices are left out of training, 0 for no limit; a dataset
+            that has no smaller ones is trained on all the same.
         crops: share of the faces drawn that are cropped at random around eyes, nose and mouth, so
             that the network does not depend on where a mesh ends.
         missing_faces: largest share of a cropped face's triangles that is taken away.
         source_weights: share of each source in the batches; ``random`` is drawn combinations of
-            expressions. Empty takes all sources in proportion to their length.
+            expressions of the open corpus. Names that the data lacks are left out. Empty takes all
+            sources in proportion to their length.
         rotation_deg: misalignment of the mesh: largest rotation.
         translation_m: misalignment of the mesh: largest shift along an axis.
         scale_range: misalignment of the mesh: largest relative change of size.

@@ -56,7 +56,7 @@ TEST(Ats, FirstPositionShiftsBothTables) {
   for (const char* name : {"target_positions", "memory_positions"}) {
     parameters[name].copy_(parameters[name].roll(-5, 0));
   }
-  condition.first_position = {};
+  condition.first_position = at::Tensor();
   const at::Tensor rolled = model(x, step, condition);
   EXPECT_TRUE(torch::allclose(shifted[0], rolled[0], 1e-5, 1e-6));  // float32 rounding
   EXPECT_FALSE(torch::allclose(shifted[0], at_zero[0], 1e-3, 1e-3));

@@ -114,7 +114,6 @@ TEST(Generate, SameSeedSameMotionAnyLength) {
   }
 }
 
-// The whole of it, written out over the layers that training uses.
 TEST(Generate, UsesNoPositionBeyondTheTrainedFrames) {
   AtsOptions options = small_options();
   options.trained_frames = 8;
@@ -133,6 +132,7 @@ TEST(Generate, UsesNoPositionBeyondTheTrainedFrames) {
   EXPECT_TRUE(torch::equal(motion(), before));
 }
 
+// The whole of it, written out over the layers that training uses.
 TEST(Generate, IsGuidedDiffusionOverTheModel) {
   Ats model = make_model(sampling_options());
   const torch::NoGradGuard no_grad;

@@ -1,0 +1,282 @@
+"""What is wrong is told before the first step, what goes wrong later loses no steps, and a run stays itself."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dataset_layouts import write_folder
+from mini_corpus import write_mini_corpus
+
+from freetalk.cli.app import main
+from freetalk.train import load_config, loop, run
+from freetalk.train.checkpoint import find_checkpoint, git_commit, load_state
+from freetalk.train.config import LoopOptions
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
+import pack_weights
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+QUICK = ["loop.threads=1", "loop.device=cpu", "loop.validate_every=0", "loop.max_steps=4"]
+STM = CONFIGS / "stm_smoke.yaml"
+
+
+@pytest.fixture
+def corpus(tmp_path: Path) -> Path:
+    return write_mini_corpus(tmp_path / "corpus")
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FREETALK_CACHE", str(tmp_path_factory.getbasetemp() / "operators"))
+
+
+@pytest.fixture
+def no_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    def step(self: loop.Trainer, draws: object) -> dict[str, float]:
+        raise AssertionError("a step was taken")
+
+    monkeypatch.setattr(loop.Trainer, "_train_step", step)
+
+
+def rewrite(corpus: Path, change: Any) -> None:
+    path = corpus / "manifest.json"
+    manifest = json.loads(path.read_text())
+    change(manifest)
+    path.write_text(json.dumps(manifest))
+
+
+# Before the first step
+
+
+@pytest.mark.usefixtures("no_steps")
+@pytest.mark.parametrize("kind", ["ats", "stm", "speech"])
+def test_an_empty_validation_split_is_told_first(kind: str, corpus: Path, tmp_path: Path) -> None:
+    def move(manifest: dict[str, Any]) -> None:
+        for entry in manifest["sequences"]:
+            entry["split"] = "train" if entry["split"] == "val" else entry["split"]
+
+    rewrite(corpus, move)
+    with pytest.raises(ValueError, match=r"\bval\b"):
+        run(kind, CONFIGS / f"{kind}_smoke.yaml", QUICK, corpus, tmp_path / "out")
+
+
+@pytest.mark.usefixtures("no_steps")
+@pytest.mark.parametrize("kind", ["ats", "stm", "speech"])
+def test_one_frame_that_is_not_finite_is_found_first(
+    kind: str, corpus: Path, tmp_path: Path
+) -> None:
+    landmarks = np.load(corpus / "landmarks.npy")
+    manifest = json.loads((corpus / "manifest.json").read_text())
+    last = [s for s in manifest["sequences"] if s["split"] == "train"][-1]
+    landmarks[last["start_frame"] + 31, 5, 1] = np.nan
+    np.save(corpus / "landmarks.npy", landmarks)
+    with pytest.raises(ValueError, match=rf"1 of 8 sequences.*{last['id']}, frame 31"):
+        run(kind, CONFIGS / f"{kind}_smoke.yaml", QUICK, corpus, tmp_path / "out")
+
+
+# After an error
+
+
+def test_an_error_at_a_step_loses_none_before_it(
+    corpus: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = run("stm", STM, QUICK, corpus, tmp_path / "whole")
+    step = loop.Trainer._train_step
+
+    def failing(self: loop.Trainer, draws: Any) -> dict[str, float]:
+        if self.step == 3:
+            raise OSError("the disk is gone")
+        return step(self, draws)
+
+    monkeypatch.setattr(loop.Trainer, "_train_step", failing)
+    with pytest.raises(OSError, match="the disk is gone"):
+        run("stm", STM, QUICK, corpus, tmp_path / "out")
+    found = find_checkpoint(tmp_path / "out" / "checkpoints" / "stm")
+    assert found is not None and load_state(found)["step"] == 3
+    monkeypatch.setattr(loop.Trainer, "_train_step", step)
+    assert run("stm", STM, QUICK, corpus, tmp_path / "out").scores == whole.scores
+
+
+def test_checkpoints_are_on_by_default() -> None:
+    assert 0 < LoopOptions().checkpoint_every <= 1000
+
+
+# Going on
+
+
+@pytest.mark.usefixtures("no_steps")
+def test_other_data_or_another_task_does_not_go_on(
+    corpus: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.undo()  # one run of whole steps first
+    monkeypatch.setenv("FREETALK_CACHE", str(tmp_path / "operators"))
+    out = tmp_path / "out"
+    run("stm", STM, QUICK, corpus, out)
+    record = (out / "run_stm.json").read_bytes()
+    other = write_mini_corpus(tmp_path / "other", seed=1)
+    with pytest.raises(ValueError, match=r"of another training \(the data .*another --out"):
+        run("stm", STM, QUICK, other, out)
+    changed = [*QUICK, "task.lambda_velocity=0.7"]
+    with pytest.raises(ValueError, match=r"task\.lambda_velocity 0\.5 -> 0\.7"):
+        run("stm", STM, changed, corpus, out)
+    assert (out / "run_stm.json").read_bytes() == record
+    # Where caches lie, and how long it runs, is no other training.
+    free = [*QUICK, f"task.operator_cache={tmp_path / 'elsewhere'}", "loop.max_steps=5"]
+    (tmp_path / "elsewhere").mkdir()
+    assert run("stm", STM, free, corpus, out).step == 5
+
+
+def test_ctrl_c_exits_as_the_shell_expects(
+    corpus: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    step = loop.Trainer._train_step
+
+    def interrupted(self: loop.Trainer, draws: Any) -> dict[str, float]:
+        signal.raise_signal(signal.SIGINT)
+        return step(self, draws)
+
+    command = ["train", "stm", "--config", str(STM), "--data", str(corpus)]
+    command += ["--out", str(tmp_path / "out"), *QUICK]
+    with monkeypatch.context() as patch:
+        patch.setattr(loop.Trainer, "_train_step", interrupted)
+        assert main(command) == 130
+    assert main(command) == 0
+
+
+# Schedules
+
+
+def test_the_learning_rate_follows_the_clock_only_when_asked(
+    corpus: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def rates(schedule: str, seconds: float) -> list[float]:
+        found: list[float] = []
+
+        def slow(self: loop.Trainer, taken: float) -> None:
+            found.append(self._learning_rate())
+            self.elapsed_s += seconds
+
+        monkeypatch.setattr(loop.Trainer, "_agree", slow)
+        options = [*QUICK, "loop.max_minutes=60", f"loop.lr_schedule={schedule}"]
+        run("stm", STM, options, corpus, tmp_path / f"{schedule}-{seconds}")
+        return found
+
+    # A slow machine's third step ends at 1.2 of the hour; the first three follow the schedule.
+    assert rates("cosine", 1)[:3] == rates("cosine", 1440)
+    assert rates("cosine_minutes", 1)[:3] != rates("cosine_minutes", 1440)
+    with pytest.raises(ValueError, match=r"cosine_minutes needs loop\.max_minutes"):
+        load_config("stm", STM, ["loop.lr_schedule=cosine_minutes"])
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda p: p.stem)
+def test_shipped_recipes_repeat_on_any_machine(path: Path) -> None:
+    (kind,) = set(path.stem.split("_")) & {"ats", "stm", "speech"}
+    options = load_config(kind, path).loop
+    assert options.max_minutes == 0 and options.lr_schedule != "cosine_minutes"
+
+
+# Where weights come from
+
+
+def test_weights_record_commit_options_and_data(corpus: Path, tmp_path: Path) -> None:
+    run("stm", STM, QUICK, corpus, tmp_path / "out")
+    config = json.loads((tmp_path / "out" / "stm" / "config.json").read_text())
+    training = config["training"]
+    assert training["commit"] == git_commit()
+    assert re.fullmatch(r"unknown|[0-9a-f]{40}(\+changes)?", training["commit"])
+    assert training["config"]["task"]["frames"] == 4
+    assert training["data_fingerprint"]
+    traced = {"training": {**training, "commit": "0" * 40}}
+    assert pack_weights.untraceable(traced) == []
+    assert pack_weights.untraceable({"training": {**training, "commit": "unknown"}}) == ["commit"]
+    assert pack_weights.untraceable({}) == ["commit", "data_fingerprint"]
+
+
+def test_the_commit_is_of_this_package_or_unknown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import subprocess
+
+    from freetalk.train import checkpoint
+
+    def git(*arguments: str) -> None:
+        identity = ["-c", "user.name=a", "-c", "user.email=a@b"]
+        subprocess.run(
+            ["git", *identity, *arguments], cwd=tmp_path, check=True, capture_output=True
+        )
+
+    installed = tmp_path / ".venv" / "checkpoint.py"
+    installed.parent.mkdir()
+    installed.write_text("")
+    (tmp_path / "theirs.py").write_text("")
+    git("init")
+    git("add", "theirs.py")
+    git("commit", "-m", "theirs")
+    monkeypatch.setattr(checkpoint, "__file__", str(installed))
+    assert git_commit() == "unknown"  # somebody else's repository
+    git("add", "-f", ".venv")
+    git("commit", "-m", "ours")
+    clean = git_commit()
+    assert re.fullmatch(r"[0-9a-f]{40}", clean)
+    installed.write_text("changed")
+    assert git_commit() == f"{clean}+changes"
+
+
+# Data of one's own in the place of the corpus
+
+
+README = (Path(__file__).parents[2] / "README.md").read_text()
+TINY = {
+    "speech": [
+        "model.hidden_size=32", "model.num_hidden_layers=1", "model.num_attention_heads=2",
+        "model.intermediate_size=32", "model.conv_dim=[32, 32, 32]", "task.crop_s=1",
+        "task.validation_crops=2", "model.num_conv_pos_embedding_groups=4",
+    ],
+    "ats": [
+        "model.d_model=16", "model.num_layers=1", "model.num_heads=2", "model.ff_dim=16",
+        "task.feature_augmentations=1", "task.validation_windows=2",
+    ],
+    "stm": [
+        "model.encoder_width=8", "model.encoder_blocks=1", "model.decoder_width=8",
+        "model.decoder_blocks=1", "model.k_eig=8", "model.gcn_hidden=8", "task.validation_windows=2",
+    ],
+}  # fmt: skip
+LINES = re.findall(r"^freetalk train (\w+) --config (\S+) --data corpus --out (\S+)$", README, re.M)
+
+
+def test_every_line_of_the_readme_takes_a_plain_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert [kind for kind, _, _ in LINES] == ["speech", "ats", "stm"]
+    monkeypatch.setenv("FREETALK_CACHE", str(tmp_path / "cache"))
+    data, out = write_folder(tmp_path / "own", size=(2200, 4360), frames=30), tmp_path / "mine"
+    assert main(["data", "check", str(data)]) == 0
+    steps = ["loop.max_steps=1", "loop.threads=1", "loop.batch_size=2", "loop.bf16=false"]
+    for kind, config, _ in LINES:
+        path = str(Path(__file__).parents[2] / config)
+        command = ["train", kind, "--config", path, "--data", str(data), "--out", str(out)]
+        assert main([*command, *steps, *TINY[kind]]) == 0, capsys.readouterr().err
+        told = capsys.readouterr().err
+        assert "there is no source" in told
+        if kind == "stm":
+            assert "has at most 2100 vertices: all are taken" in told
+        if kind == "speech":
+            assert "spectra and lip opening alone" in told
+        assert (out / kind / "model.safetensors").is_file()
+    words = ["pack_weights.py", *(w for k in TINY for w in (f"--{k}", str(out / k)))]
+    words += ["--out", str(tmp_path / "weights")]
+    traced = [] if git_commit() != "unknown" else ["--untraceable"]
+    monkeypatch.setattr(sys, "argv", [*words, *traced])
+    pack_weights.main()
+    mesh, sound = data / "templates" / "ann.ply", data / "wav" / "ann_0.wav"
+    command = ["animate", "--pretrained", str(tmp_path / "weights"), "--audio", str(sound)]
+    command += ["--mesh", str(mesh), "--out", str(tmp_path / "talk.glb")]
+    assert main(command) == 0, capsys.readouterr().err
+    assert (tmp_path / "talk.glb").stat().st_size > 1000
