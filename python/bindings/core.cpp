@@ -1,10 +1,12 @@
 #include "freetalk/core/safetensors.h"
 
+#include <pybind11/functional.h>
 #include <pybind11/stl/filesystem.h>
 #include <torch/extension.h>
 
 #include "freetalk/core/cache_dir.h"
 #include "freetalk/core/conventions.h"
+#include "freetalk/core/log.h"
 #include "freetalk/core/module_io.h"
 #include "freetalk/core/options.h"
 
@@ -33,4 +35,16 @@ void bind_core(py::module_& m) {
         "The options in config.json of a model's folder, as JSON text.");
   m.def("nearest_name", &freetalk::core::nearest_name, py::arg("name"), py::arg("known"),
         "The known name with the smallest edit distance.");
+  m.def(
+      "set_log_sink",
+      [](const std::optional<std::function<void(int, const std::string&)>>& sink) {
+        using freetalk::core::LogLevel;
+        if (!sink) return freetalk::core::set_log_sink({});
+        freetalk::core::set_log_sink([call = *sink](LogLevel level, const std::string& text) {
+          call(10 * (static_cast<int>(level) + 1), text);
+        });
+      },
+      py::arg("sink"),
+      "Hands what the native library has to say to sink(level, text), levels as in logging; None: "
+      "warnings to stderr.");
 }

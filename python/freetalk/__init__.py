@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
 import importlib
+import logging
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -23,16 +25,20 @@ if torch.__version__.split("+")[0] != _native.torch_version.split("+")[0]:
 
 __version__: str = _native.__version__
 
+_native.core.set_log_sink(logging.getLogger("freetalk").log)
+atexit.register(_native.core.set_log_sink, None)
+
 if TYPE_CHECKING:
     from freetalk import ats, diffusion, geometry, mesh, metrics, nn, rig, speech, stm
     from freetalk.animation import Animation
     from freetalk.audio import Audio, load_audio
     from freetalk.mesh import Mesh, load_mesh
-    from freetalk.talker import Talker
+    from freetalk.talker import Face, Talker
 
 _LAZY = {
     "Animation": "animation",
     "Audio": "audio",
+    "Face": "talker",
     "Mesh": "mesh",
     "Talker": "talker",
     "load_audio": "audio",
@@ -61,6 +67,7 @@ _ROOMS = (
 __all__ = [
     "Animation",
     "Audio",
+    "Face",
     "Mesh",
     "Talker",
     "__version__",

@@ -3,32 +3,54 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
 
 from freetalk import _native
 from freetalk._pretrained import PRETRAINED, installed
+from freetalk._progress import Progress, StageProgress
 from freetalk.animation import Animation
 from freetalk.ats import Emotion, emotion_text
 from freetalk.audio import Audio, load_audio
 from freetalk.geometry import Alignment, AlignOptions
 from freetalk.mesh import Mesh, load_mesh
 
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+AnimateOptions = _native.talker.AnimateOptions
+FaceOptions = _native.talker.FaceOptions
+LiveFrame = _native.talker.LiveFrame
+LiveOptions = _native.talker.LiveOptions
 TalkerOptions = _native.talker.TalkerOptions
 Report = _native.talker.Report
 
-Progress = Callable[[float, float], None]
+__all__ = [
+    "PRETRAINED",
+    "AnimateOptions",
+    "Face",
+    "FaceOptions",
+    "Live",
+    "LiveFrame",
+    "LiveOptions",
+    "Report",
+    "Talker",
+    "TalkerOptions",
+]
 
-__all__ = ["PRETRAINED", "Report", "Talker", "TalkerOptions"]
-
-_SHARES = {"align": 0.05, "operators": 0.15, "speech": 0.10, "motion": 0.35, "surface": 0.35}
+_PREPARATION = {"align": 0.25, "parts": 0.05, "operators": 0.6, "features": 0.1}
+_PERFORMANCE = {"speech": 0.15, "motion": 0.45, "surface": 0.4}
 
 
 class Talker:
-    """The whole pipeline: load once, animate any mesh with any speech.
+    """The weights of the whole pipeline: load once, share between threads, animate any mesh with any speech.
 
-    Use :meth:`from_pretrained`. After :meth:`animate`, :attr:`report` says what was guessed and measured.
+    Use :meth:`from_pretrained`. :meth:`animate` does everything in one call; :meth:`prepare` does what depends on
+    the mesh alone once, for many clips. After :meth:`animate`, :attr:`report` says what was guessed and measured.
     """
 
     def __init__(self, native: Any) -> None:
@@ -66,13 +88,18 @@ class Talker:
         return emotions
 
     @property
+    def max_intensity(self) -> float:
+        """The strongest ``intensity=``; the slightest is 1."""
+        return self._native.max_intensity
+
+    @property
     def device(self) -> str:
         """Where the models are."""
         return self._native.device
 
     @property
     def report(self) -> Report | None:
-        """Alignment, parts, notices and timings of the last :meth:`animate`."""
+        """Alignment, parts, notices and timings of the last :meth:`animate` of this object, by any thread."""
         return self._report
 
     def align(
@@ -87,6 +114,33 @@ class Talker:
         options = AlignOptions(unit=unit, up=up, forward=forward)
         return self._native.align(_mesh(mesh), options)
 
+    def prepare(
+        self,
+        mesh: Mesh | str | os.PathLike[str],
+        *,
+        progress: bool | Progress | None = True,
+        **options: Any,
+    ) -> Face:
+        """Computes everything that depends on the mesh alone, once.
+
+        Args:
+            mesh: face or head, or the path of an OBJ, PLY, OFF, STL or glTF file.
+            progress: a progress bar on a terminal, nothing, or a callback (done, total); whatever the callback
+                raises ends the work.
+            options: fields of ``FaceOptions``: unit, up, forward, precision, memory_mb and cache_dir ("auto", the
+                default here: the user's cache folder; None: no file is read or written).
+
+        Returns:
+            A face, for any number of clips, seeds and threads.
+
+        Raises:
+            ValueError: option out of range, or a surface without area.
+            RuntimeError: a file cannot be read.
+        """
+        wanted = FaceOptions(**_with_cache(options))
+        with StageProgress(progress, _PREPARATION) as bar:
+            return Face(self._native.prepare(_mesh(mesh), options=wanted, progress=bar.update))
+
     def animate(
         self,
         audio: Audio | str | os.PathLike[str],
@@ -96,7 +150,7 @@ class Talker:
         progress: bool | Progress | None = True,
         **options: Any,
     ) -> Animation:
-        """Makes a mesh speak.
+        """Makes a mesh speak: :meth:`prepare` and :meth:`Face.animate` in one call.
 
         Args:
             audio: speech, or the path of a recording.
@@ -104,10 +158,10 @@ class Talker:
             emotion: a name ``"happy"``; a mixture ``{"happy": 0.7, "surprise": 0.3}``; or keyframes
                 ``[(0.0, "neutral", 1), (2.5, {"happy": 0.7, "surprise": 0.3}, 2.5)]`` of seconds,
                 mixture and intensity, linear in between.
-            progress: a progress bar on a terminal, nothing, or a callback (done, total).
+            progress: as for :meth:`prepare`.
             options: further fields of ``TalkerOptions``: intensity, fps, seed, sampler ("ddim", "ddpm",
-                "dpmpp"), num_steps, eta, audio_guidance, affect_guidance, mouth_temperature, blinks, precision,
-                unit, up, forward ...
+                "dpmpp"), num_steps, eta, audio_guidance, affect_guidance, mouth_temperature, blinks, tolerance_mm,
+                and those of :meth:`prepare`. What is None is as the weights say.
 
         Returns:
             round(duration * fps) frames in the mesh's own unit, axes and vertex order.
@@ -116,10 +170,9 @@ class Talker:
             ValueError: unknown emotion (the message lists the known), option out of range, empty input.
             RuntimeError: a file cannot be read.
         """
-        wanted = TalkerOptions(emotion=emotion_text(emotion), **options)
-        sound = audio if isinstance(audio, Audio) else load_audio(audio)
-        surface = _mesh(mesh)
-        with _Progress(progress) as bar:
+        wanted = TalkerOptions(emotion=emotion_text(emotion), **_with_cache(options))
+        sound, surface = _audio(audio), _mesh(mesh)
+        with StageProgress(progress, _PREPARATION, _PERFORMANCE) as bar:
             native, self._report = self._native.animate(sound, surface, wanted, bar.update)
         return Animation._wrap(native)
 
@@ -150,47 +203,194 @@ class Talker:
             ValueError: as :meth:`animate`, or no seeds.
             RuntimeError: a file cannot be read.
         """
-        wanted = TalkerOptions(emotion=emotion_text(emotion), **options)
-        sound = audio if isinstance(audio, Audio) else load_audio(audio)
-        surface = _mesh(mesh)
-        with _Progress(progress) as bar:
+        wanted = TalkerOptions(emotion=emotion_text(emotion), **_with_cache(options))
+        sound, surface = _audio(audio), _mesh(mesh)
+        with StageProgress(progress, _PREPARATION, _PERFORMANCE) as bar:
             natives, self._report = self._native.animate_many(
                 sound, surface, seeds=list(seeds), options=wanted, progress=bar.update
             )
         return [Animation._wrap(native) for native in natives]
 
 
+class Face:
+    """A mesh made ready to speak by :meth:`Talker.prepare`; any number of threads may share it."""
+
+    def __init__(self, native: Any) -> None:
+        self._native = native
+
+    @property
+    def mesh(self) -> Mesh:
+        """The mesh as it was given."""
+        return self._native.mesh
+
+    @property
+    def options(self) -> FaceOptions:
+        """How it was prepared."""
+        return self._native.options
+
+    @property
+    def report(self) -> Report:
+        """Alignment, parts, notices and timings of the preparation."""
+        return self._native.report
+
+    def num_frames(self, audio: Audio | str | os.PathLike[str], fps: float = 30.0) -> int:
+        """Frames of an animation of this sound."""
+        return self._native.num_frames(_audio(audio), fps)
+
+    def animate(
+        self,
+        audio: Audio | str | os.PathLike[str],
+        *,
+        emotion: Emotion = "neutral",
+        out: torch.Tensor | None = None,
+        progress: bool | Progress | None = True,
+        **options: Any,
+    ) -> Animation:
+        """One performance.
+
+        Args:
+            audio: speech, or the path of a recording.
+            emotion: as for :meth:`Talker.animate`.
+            out: (T, V, 3) contiguous float32 tensor on the CPU to fill, T as :meth:`num_frames` says; it becomes the
+                animation's displacements.
+            progress: as for :meth:`Talker.prepare`.
+            options: fields of ``AnimateOptions``, see :meth:`Talker.animate`.
+
+        Returns:
+            T frames in the mesh's own unit, axes and vertex order; its metadata holds what was found.
+
+        Raises:
+            ValueError: unknown emotion, option out of range, empty input, ``out`` of another form.
+            RuntimeError: a file cannot be read.
+        """
+        return self.animate_with_report(
+            audio, emotion=emotion, out=out, progress=progress, **options
+        )[0]
+
+    def animate_with_report(
+        self,
+        audio: Audio | str | os.PathLike[str],
+        *,
+        emotion: Emotion = "neutral",
+        out: torch.Tensor | None = None,
+        progress: bool | Progress | None = True,
+        **options: Any,
+    ) -> tuple[Animation, Report]:
+        """As :meth:`animate`, with notices, decoded frames and timings beside."""
+        wanted = AnimateOptions(emotion=emotion_text(emotion), **options)
+        with StageProgress(progress, _PERFORMANCE) as bar:
+            native, report = self._native.animate(
+                _audio(audio), options=wanted, progress=bar.update, out=out
+            )
+        return Animation._wrap(native), report
+
+    def animate_many(
+        self,
+        audio: Audio | str | os.PathLike[str],
+        *,
+        seeds: Sequence[int],
+        emotion: Emotion = "neutral",
+        out: torch.Tensor | None = None,
+        progress: bool | Progress | None = True,
+        **options: Any,
+    ) -> list[Animation]:
+        """Several performances of one speech, their motion sampled together.
+
+        Args:
+            audio: as for :meth:`animate`.
+            seeds: one a performance.
+            emotion: as for :meth:`animate`.
+            out: (seeds, T, V, 3), else as for :meth:`animate`.
+            progress: as for :meth:`animate`.
+            options: as for :meth:`animate`.
+
+        Returns:
+            One animation a seed, equal to that of :meth:`animate` up to rounding.
+
+        Raises:
+            ValueError: as :meth:`animate`, or no seeds.
+            RuntimeError: a file cannot be read.
+        """
+        wanted = AnimateOptions(emotion=emotion_text(emotion), **options)
+        with StageProgress(progress, _PERFORMANCE) as bar:
+            natives, _ = self._native.animate_many(
+                _audio(audio), seeds=list(seeds), options=wanted, progress=bar.update, out=out
+            )
+        return [Animation._wrap(native) for native in natives]
+
+    def live(self, *, emotion: Emotion = "neutral", **options: Any) -> Live:
+        """A stream: speech in as it is spoken, frames out about half a second later.
+
+        Args:
+            emotion: as for :meth:`Talker.animate`; keyframes count from the stream's start.
+            options: fields of ``LiveOptions``: intensity, seed, hop_s, lookahead_s, sampler, num_steps ...
+
+        Raises:
+            ValueError: unknown emotion, option out of range.
+        """
+        wanted = LiveOptions(emotion=emotion_text(emotion), **options)
+        return Live(_native.talker.Live(self._native, wanted))
+
+
+class Live:
+    """One stream on one face, made by :meth:`Face.live`. Not to be shared between threads; the face may be.
+
+    Frames are the same to the bit however the samples are divided over the calls.
+    """
+
+    def __init__(self, native: Any) -> None:
+        self._native = native
+
+    def push(self, samples: ArrayLike) -> list[LiveFrame]:
+        """Frames that are final with further samples.
+
+        Args:
+            samples: (n,) mono speech in [-1, 1] at 16 kHz, n may be 0.
+
+        Returns:
+            Frames in order, each with ``index``, ``time_s`` of the speech it belongs to and ``landmarks`` (68, 3).
+        """
+        return self._native.push(np.asarray(samples, dtype=np.float32))
+
+    def finish(self) -> list[LiveFrame]:
+        """The rest, as if the speech ended here: round(duration * fps) frames in all. Then it starts afresh."""
+        return self._native.finish()
+
+    def reset(self) -> None:
+        """Forgets everything, as if nothing had been pushed."""
+        self._native.reset()
+
+    def set_emotion(self, emotion: Emotion, intensity: float | None = None) -> None:
+        """Another emotion from the last pushed sample on; keyframes count from there.
+
+        Raises:
+            ValueError: an unknown emotion (the message lists the known), or an intensity out of range.
+        """
+        self._native.set_emotion(emotion_text(emotion), intensity)
+
+    def decode(self, frame: LiveFrame) -> torch.Tensor:
+        """(V, 3) float32 vertices of a frame, in the mesh's own unit and axes."""
+        return self._native.decode(frame)
+
+    @property
+    def latency_s(self) -> float:
+        """The longest time from a frame's moment to the sample that makes it final."""
+        return self._native.latency_s
+
+    @property
+    def fps(self) -> float:
+        """Frames per second."""
+        return self._native.fps
+
+
 def _mesh(mesh: Mesh | str | os.PathLike[str]) -> Mesh:
     return mesh if isinstance(mesh, Mesh) else load_mesh(mesh)
 
 
-class _Progress:
-    """Stages of the native pipeline as one bar or one callback."""
+def _audio(audio: Audio | str | os.PathLike[str]) -> Audio:
+    return audio if isinstance(audio, Audio) else load_audio(audio)
 
-    def __init__(self, progress: bool | Progress | None) -> None:
-        self._callback = progress if callable(progress) else None
-        self._bar: Any = None
-        if progress is True:
-            from tqdm import tqdm
 
-            self._bar = tqdm(total=1.0, desc="animating", leave=False, disable=None)
-            self._bar.bar_format = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}"
-
-    def __enter__(self) -> _Progress:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.close()
-
-    def update(self, stage: str, fraction: float) -> None:
-        """Called by the native pipeline."""
-        names = list(_SHARES)
-        before = sum(_SHARES[name] for name in names[: names.index(stage)])
-        done = before + _SHARES[stage] * fraction
-        if self._callback is not None:
-            self._callback(done, 1.0)
-        if self._bar is not None:
-            self._bar.set_description(stage, refresh=False)
-            self._bar.n = done
-            self._bar.refresh()
+def _with_cache(options: dict[str, Any]) -> dict[str, Any]:
+    """Python keeps what is computed of a mesh in the user's cache folder unless told otherwise."""
+    return {"cache_dir": "auto"} | options

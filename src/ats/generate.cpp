@@ -40,16 +40,6 @@ Affect of_frames(const Affect& affect, int64_t first, int64_t count) {
   return {affect.emotion, affect.intensity, affect.weight.narrow(0, first, count)};
 }
 
-constexpr int64_t kBrows = 17, kNose = 27, kEyes = 36, kMouth = 48;  // first landmarks (iBUG)
-
-/// (204,) factor of the noise of each coordinate.
-at::Tensor noise_amount(const GenerateOptions& options, const at::Tensor& like) {
-  at::Tensor amount = at::full({kNumLandmarks, 3}, options.mouth_temperature, like.options());
-  amount.narrow(0, kBrows, kNose - kBrows).fill_(1.0);
-  amount.narrow(0, kEyes, kMouth - kEyes).fill_(1.0);
-  return amount.flatten();
-}
-
 }  // namespace
 
 diffusion::SamplerOptions GenerateOptions::sampler_options() const {
@@ -92,7 +82,7 @@ at::Tensor generate(Ats& model, const at::Tensor& features, const Affect& affect
   const auto sampling = options.sampler_options();
   const WindowPlan plan = plan_windows(features.size(0), own.window_frames(), options);
   const auto dtype = options.precision == "bfloat16" ? at::kBFloat16 : features.scalar_type();
-  AtsInference network(*model, diffusion::sampler_timesteps(schedule, sampling), plan.window, dtype,
+  AtsInference network(*model, diffusion::sampler_timesteps(schedule, sampling), dtype,
                        plan.window * std::min<int64_t>(static_cast<int64_t>(plan.groups[0].size()),
                                                        options.windows_per_batch));
   const Affect felt{affect.emotion.to(features.options()), affect.intensity.to(features.options()),

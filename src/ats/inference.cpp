@@ -7,13 +7,11 @@
 namespace freetalk::ats {
 
 AtsInference::AtsInference(AtsImpl& model, const std::vector<int64_t>& timesteps,
-                           int64_t num_frames, at::ScalarType dtype, int64_t rows)
+                           at::ScalarType dtype, int64_t rows)
     : model_(model),
-      num_frames_(num_frames),
       dtype_(dtype),
       input_(model.input_proj_->weight, model.input_proj_->bias, dtype, rows),
-      output_(model.output_proj_->weight, model.output_proj_->bias, dtype, rows),
-      band_(num_frames, model.options_.band_radius, dtype, model.null_audio_.device()) {
+      output_(model.output_proj_->weight, model.output_proj_->bias, dtype, rows) {
   const auto whole = model.null_audio_.options().dtype(at::kLong);
   const at::Tensor codes = model.time_code(at::tensor(timesteps, whole));
   for (size_t i = 0; i < timesteps.size(); ++i) {
@@ -31,8 +29,9 @@ AtsInference::Prepared AtsInference::prepare(const at::Tensor& audio, const Affe
   condition.emotion = affect.emotion;
   condition.intensity = affect.intensity;
   const at::Tensor codes = model_.affect_code(condition);  // (K, 1, d)
-  const at::Tensor positions = model_.target_positions_.narrow(0, 0, num_frames_);
-  Prepared prepared;
+  const int64_t num_frames = audio.size(1);
+  const at::Tensor positions = model_.target_positions_.narrow(0, 0, num_frames);
+  Prepared prepared{{num_frames, model_.options_.band_radius, dtype_, audio.device()}, {}, {}};
   prepared.base = positions + at::cat({codes, model_.null_affect_.view({1, 1, -1})});
   at::Tensor memory = model_.audio_memory(condition);  // (W, T, d)
   if (null_audio) {
@@ -41,7 +40,7 @@ AtsInference::Prepared AtsInference::prepare(const at::Tensor& audio, const Affe
   }
   memory = memory.to(dtype_);
   for (const nn::DecoderLayerInference& layer : layers_) {
-    prepared.memory.push_back(layer.remember(memory, band_.margin()));
+    prepared.memory.push_back(layer.remember(memory, prepared.band.margin()));
   }
   return prepared;
 }
@@ -61,7 +60,7 @@ at::Tensor AtsInference::denoise(const at::Tensor& x, int64_t timestep, const Pr
                                .flatten(0, 1);
   at::Tensor z = input_.add(x.to(dtype_).flatten(0, 1), start);  // (G W, T, d)
   for (size_t i = 0; i < layers_.size(); ++i) {
-    z = layers_[i].forward(z, prepared.memory[i], memory_of, band_);
+    z = layers_[i].forward(z, prepared.memory[i], memory_of, prepared.band);
   }
   if (model_.options_.norm_first) {
     z = at::layer_norm(z, {z.size(-1)}, model_.norm_->weight.to(dtype_),

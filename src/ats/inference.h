@@ -16,19 +16,20 @@ namespace freetalk::ats {
 
 class AtsInference {
  public:
-  /// @param timesteps those that will be asked for. @param num_frames T, of every window.
+  /// @param timesteps those that will be asked for.
   /// @param dtype of the network: float32 or bfloat16; positions, codes and results are float32.
   /// @param rows frames a call usually denoises, over all windows.
-  AtsInference(AtsImpl& model, const std::vector<int64_t>& timesteps, int64_t num_frames,
-               at::ScalarType dtype, int64_t rows);
+  AtsInference(AtsImpl& model, const std::vector<int64_t>& timesteps, at::ScalarType dtype,
+               int64_t rows);
 
   /// A condition of the network; the null ones serve guidance.
   struct Variant {
     bool null_audio = false;
     int64_t affect = 0;  // index of an emotion; their number K: the null affect
   };
-  /// What does not depend on the step, for W windows.
+  /// What does not depend on the step, for W windows of T frames.
   struct Prepared {
+    nn::BandAttention band;
     at::Tensor base;  // (K + 1, T, d): positions and the code of each affect, then the null one
     std::vector<at::Tensor>
         memory;  // of each layer (2 W, T + 2 margin, 2d): audio; then null audio
@@ -45,12 +46,10 @@ class AtsInference {
 
  private:
   AtsImpl& model_;
-  int64_t num_frames_;
   at::ScalarType dtype_;
   std::unordered_map<int64_t, at::Tensor> time_codes_;  // (d,) of each timestep
   kernels::FixedLinear input_, output_;
   std::vector<nn::DecoderLayerInference> layers_;
-  nn::BandAttention band_;
 };
 
 }  // namespace freetalk::ats

@@ -22,7 +22,16 @@ at::Tensor stack_windows(const at::Tensor& x, const std::vector<int64_t>& starts
   return at::stack(windows, frame_dim);
 }
 
+constexpr int64_t kBrows = 17, kNose = 27, kEyes = 36, kMouth = 48;  // first landmarks (iBUG)
+
 }  // namespace
+
+at::Tensor noise_amount(const GenerateOptions& options, const at::Tensor& like) {
+  at::Tensor amount = at::full({kNumLandmarks, 3}, options.mouth_temperature, like.options());
+  amount.narrow(0, kBrows, kNose - kBrows).fill_(1.0);
+  amount.narrow(0, kEyes, kMouth - kEyes).fill_(1.0);
+  return amount.flatten();
+}
 
 int64_t WindowPlan::shared_frames(size_t group) const {
   if (group + 1 >= groups.size()) return 0;
@@ -50,6 +59,8 @@ WindowGroup::WindowGroup(AtsInference& network, const WindowPlan& plan, std::vec
       options_(options),
       starts_(std::move(starts)),
       window_(plan.window),
+      prepared_(network.prepare(stack_windows(audio, starts_, window_, 0), affect,
+                                /*null_audio=*/options.audio_guidance != 1)),
       before_(std::move(before)) {
   const bool single = plan.groups.size() == 1 && starts_.size() == 1;
   fade_ = (single ? at::ones({window_}) : fade_weights(window_, options.window_overlap))
@@ -79,7 +90,6 @@ WindowGroup::WindowGroup(AtsInference& network, const WindowPlan& plan, std::vec
     variants_.push_back({false, num_emotions});
     variant_weights_.push_back(at::full({1, 1, 1}, -affect_extra, audio.options()));
   }
-  prepared_ = network.prepare(stack_windows(audio, starts_, window_, 0), affect, audio_extra != 0);
 }
 
 at::Tensor WindowGroup::guided(const at::Tensor& windows, int64_t timestep) const {

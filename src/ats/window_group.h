@@ -11,6 +11,9 @@
 
 namespace freetalk::ats {
 
+/// (204,) factor of the noise of each coordinate, see GenerateOptions::mouth_temperature.
+at::Tensor noise_amount(const GenerateOptions& options, const at::Tensor& like);
+
 /// What a group leaves to the next for the frames that both hold; a tensor a step.
 struct Shared {
   int64_t num_frames = 0;

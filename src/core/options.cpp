@@ -27,7 +27,13 @@ size_t edit_distance(const std::string& a, const std::string& b) {
 }
 
 template <class T>
-const char* type_name() {
+struct Optional : std::false_type {};
+template <class T>
+struct Optional<std::optional<T>> : std::true_type {};
+
+template <class T>
+std::string type_name() {
+  if constexpr (Optional<T>::value) return type_name<typename T::value_type>() + " or null";
   if constexpr (std::is_same_v<T, bool>) return "true or false";
   if constexpr (std::is_same_v<T, int64_t>) return "an integer";
   if constexpr (std::is_same_v<T, double>) return "a number";
@@ -39,6 +45,7 @@ const char* type_name() {
 
 template <class T>
 bool holds(const Json& value) {
+  if constexpr (Optional<T>::value) return value.is_null() || holds<typename T::value_type>(value);
   if constexpr (std::is_same_v<T, bool>) return value.is_boolean();
   if constexpr (std::is_same_v<T, int64_t>) return value.is_number_integer();
   if constexpr (std::is_same_v<T, double>) return value.is_number();
@@ -60,7 +67,16 @@ bool holds(const Json& value) {
 std::string options_to_json_text(const std::vector<NamedOption>& options, bool pretty) {
   Json object = Json::object();
   for (const NamedOption& option : options) {
-    std::visit([&](const auto& value) { object[option.name] = value; }, option.value);
+    std::visit(
+        [&](const auto& value) {
+          Json& slot = object[option.name];
+          if constexpr (Optional<std::decay_t<decltype(value)>>::value) {
+            slot = value ? Json(*value) : Json();
+          } else {
+            slot = value;
+          }
+        },
+        option.value);
   }
   return pretty ? object.dump(2) : object.dump();
 }
@@ -82,7 +98,13 @@ std::vector<NamedOption> options_from_json_text(const std::vector<NamedOption>& 
           using T = std::decay_t<decltype(current)>;
           FREETALK_CHECK(holds<T>(json_value), where, ": option '", name, "' must be ",
                          type_name<T>(), ", found ", json_value.dump());
-          current = json_value.template get<T>();
+          if constexpr (!Optional<T>::value) {
+            current = json_value.template get<T>();
+          } else if (json_value.is_null()) {
+            current = std::nullopt;
+          } else {
+            current = json_value.template get<typename T::value_type>();
+          }
         },
         slot);
   }

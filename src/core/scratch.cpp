@@ -9,6 +9,8 @@
 #include <filesystem>
 #include <string>
 
+#include "freetalk/core/log.h"
+
 namespace freetalk::core {
 namespace {
 
@@ -24,9 +26,9 @@ void unmap(void* context) {
 }
 
 /// A file of `bytes` without a name, its blocks allocated; -1 where there is no room for it.
-int temporary_file(int64_t bytes) {
+int temporary_file(int64_t bytes, std::filesystem::path folder) {
   std::error_code failed;
-  const auto folder = std::filesystem::temp_directory_path(failed);
+  if (folder.empty()) folder = std::filesystem::temp_directory_path(failed);
   if (failed) return -1;
   std::string name = (folder / "freetalk-XXXXXX").string();
   const int file = ::mkstemp(name.data());
@@ -39,11 +41,16 @@ int temporary_file(int64_t bytes) {
 
 }  // namespace
 
-at::Tensor scratch_tensor(at::IntArrayRef sizes, int64_t threshold_bytes) {
+at::Tensor scratch_tensor(at::IntArrayRef sizes, int64_t threshold_bytes,
+                          const std::filesystem::path& folder) {
   const int64_t bytes = c10::multiply_integers(sizes) * static_cast<int64_t>(sizeof(float));
   if (bytes < threshold_bytes || bytes == 0) return at::empty(sizes, at::kFloat);
-  const int file = temporary_file(bytes);
-  if (file < 0) return at::empty(sizes, at::kFloat);
+  const int file = temporary_file(bytes, folder);
+  if (file < 0) {
+    log(LogLevel::kWarning, "no temporary file of " + std::to_string(bytes >> 20) + " MB in '" +
+                                folder.string() + "': the result lies in memory");
+    return at::empty(sizes, at::kFloat);
+  }
   const auto size = static_cast<size_t>(bytes);
   void* data = ::mmap(nullptr, size, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
   ::close(file);

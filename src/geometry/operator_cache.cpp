@@ -8,6 +8,7 @@
 #include "content_hash.h"
 #include "freetalk/core/cache_dir.h"
 #include "freetalk/core/error.h"
+#include "freetalk/core/log.h"
 #include "freetalk/core/options.h"
 #include "freetalk/core/safetensors.h"
 #include "freetalk/geometry/operators.h"
@@ -74,7 +75,8 @@ std::optional<SurfaceOperators> load_entry(const fs::path& file, int64_t num_ver
     core::TensorMap tensors;
     for (const std::string& key : entry.keys()) tensors[key] = entry.tensor(key).clone();
     const auto sum = entry.metadata().find("checksum");
-    if (sum == entry.metadata().end() || sum->second != checksum(tensors)) return std::nullopt;
+    FREETALK_RUNTIME_CHECK(sum != entry.metadata().end() && sum->second == checksum(tensors),
+                           "its checksum differs");
     SurfaceOperators operators;
     operators.mass = tensors.at("mass");
     operators.evals = tensors.at("evals");
@@ -86,11 +88,15 @@ std::optional<SurfaceOperators> load_entry(const fs::path& file, int64_t num_ver
     operators.gradients = make_csr_tensor(tensors.at("gradients.crow"), tensors.at("gradients.col"),
                                           values, {2 * num_vertices, num_vertices});
     operators.gradients_transposed = transpose_csr(operators.gradients);
-    if (operators.num_vertices() != num_vertices || operators.k_eig() != k) return std::nullopt;
+    FREETALK_RUNTIME_CHECK(operators.num_vertices() == num_vertices && operators.k_eig() == k,
+                           "it is of another mesh");
     fs::last_write_time(file, fs::file_time_type::clock::now(), error);  // Used last now.
     return operators;
-  } catch (const std::exception&) {
-    return std::nullopt;  // Damaged: computed again and overwritten.
+  } catch (const std::exception& error) {
+    core::log(
+        core::LogLevel::kWarning,
+        core::join(file.string(), ": computed again, for the entry is damaged: ", error.what()));
+    return std::nullopt;
   }
 }
 
@@ -154,9 +160,11 @@ SurfaceOperators cached_surface_operators(const Eigen::MatrixXd& vertices,
   try {
     core::save_safetensors(file, tensors, {{"checksum", checksum(tensors)}});
     evict(folder, file, max_bytes);
-  } catch (const std::runtime_error&) {
+  } catch (const std::runtime_error& error) {
     // A folder that cannot be written to (full, read-only) costs the time next time, not the
     // result.
+    core::log(core::LogLevel::kWarning,
+              core::join("operators of ", name, " are not kept: ", error.what()));
   }
   return operators;
 }

@@ -70,24 +70,20 @@ at::Tensor mix_states(const std::vector<at::Tensor>& states, const at::Tensor& w
   return sum;
 }
 
-EvaluationScope::EvaluationScope(torch::nn::Module& module)
-    : module_(module), self_was_training_(module.is_training()) {
-  for (const auto& part : module_.modules(/*include_self=*/false)) {
-    was_training_.push_back(part->is_training());
+EvaluationScope::EvaluationScope(torch::nn::Module& module) : module_(module) {
+  const auto parts = module_.modules();  // parents come first
+  if (std::none_of(parts.begin(), parts.end(), [](const auto& m) { return m->is_training(); })) {
+    return;
   }
+  for (const auto& part : parts) was_training_.push_back(part->is_training());
   module_.eval();
 }
 
 EvaluationScope::~EvaluationScope() {
-  if (self_was_training_) {
-    module_.train();
-  }
-  size_t index = 0;
-  for (const auto& part : module_.modules(/*include_self=*/false)) {  // parents come first
-    if (part->is_training() != was_training_[index]) {
-      part->train(was_training_[index]);
-    }
-    ++index;
+  if (was_training_.empty()) return;
+  const auto parts = module_.modules();
+  for (size_t i = 0; i < parts.size(); ++i) {
+    if (parts[i]->is_training() != was_training_[i]) parts[i]->train(was_training_[i]);
   }
 }
 

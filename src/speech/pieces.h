@@ -22,7 +22,8 @@ at::Tensor interpolate_frames(const at::Tensor& features, at::Tensor positions);
 /// Sum of hidden states (B, S', C) by weights (num_states,).
 at::Tensor mix_states(const std::vector<at::Tensor>& states, const at::Tensor& weights);
 
-/// Evaluation mode for a scope, then every submodule as it was.
+/// Evaluation mode for a scope, then every submodule as it was. A module that is in evaluation mode
+/// is left alone: several threads may share it.
 class EvaluationScope {
  public:
   explicit EvaluationScope(torch::nn::Module& module);
@@ -32,8 +33,7 @@ class EvaluationScope {
 
  private:
   torch::nn::Module& module_;
-  bool self_was_training_ = false;
-  std::vector<bool> was_training_;
+  std::vector<bool> was_training_;  // empty: nothing to restore
 };
 
 class PieceEncoder {
@@ -55,6 +55,8 @@ class PieceEncoder {
   int64_t num_frames(int64_t num_samples) const;
   double latency_s() const;
   int64_t hop() const { return hop_; }
+  /// Numbers held between calls.
+  int64_t num_held() const { return buffer_.numel() + (tail_.defined() ? tail_.numel() : 0); }
   at::TensorOptions result_options() const;
 
  private:

@@ -31,6 +31,7 @@ SpeechStream::SpeechStream(SpeechEncoder encoder, std::optional<double> fps, Enc
 }
 
 SpeechStream::~SpeechStream() = default;
+SpeechStream::SpeechStream(SpeechStream&&) noexcept = default;
 
 at::Tensor SpeechStream::push(const at::Tensor& samples) {
   FREETALK_CHECK(samples.dim() == 1 && samples.is_floating_point(), "samples have shape ",
@@ -50,5 +51,7 @@ at::Tensor SpeechStream::finish() {
 }
 
 double SpeechStream::latency_s() const { return pieces_->latency_s(); }
+
+int64_t SpeechStream::num_held() const { return pieces_->num_held(); }
 
 }  // namespace freetalk::speech

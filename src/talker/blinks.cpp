@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <random>
 #include <vector>
 
 namespace freetalk::talker {
@@ -16,44 +15,59 @@ using Positions = at::TensorAccessor<float, 3>;
 constexpr std::array<std::array<int, 2>, 4> kLids = {
     {{37, 41}, {38, 40}, {43, 47}, {44, 46}}};                    // upper, lower
 constexpr double kClosing = 0.07, kShut = 0.04, kOpening = 0.13;  // s
+constexpr double kDuration = kClosing + kShut + kOpening;
 constexpr double kClosure = 0.96;  // share of the way from lid to lid
 constexpr double kClosed = 0.5;    // of the usual opening
 constexpr double kApart = 1.5;     // s, from one blink to the next at least
+constexpr double kRemembered = 5;  // s, over which a stream knows the usual opening
 
 /// Lid closure in [0, 1] at a time since the blink began.
 double lid(double time) {
-  const double left = kClosing + kShut + kOpening - time;
+  const double left = kDuration - time;
   const double share = std::clamp(std::min(time / kClosing, left / kOpening), 0.0, 1.0);
   return share * share * (3 - 2 * share);
 }
 
-std::vector<double> blink_times(double duration_s, uint64_t seed) {
-  // Raw bits, not std::uniform_real_distribution: the same on every platform.
-  std::mt19937_64 random(seed);
-  const auto uniform = [&] { return static_cast<double>(random() >> 11) * 0x1p-53; };
-  std::vector<double> times;
-  for (double at = 0.6 + 2 * uniform(); at < duration_s; at += 2.5 + 3.5 * uniform()) {
-    times.push_back(at);
+double opening_of(const at::TensorAccessor<float, 2>& frame, const Eigen::MatrixXd& landmarks) {
+  double opening = 0;
+  for (const auto& [upper, lower] : kLids) {
+    opening += landmarks(upper, 1) + frame[upper][1] - landmarks(lower, 1) - frame[lower][1];
   }
-  return times;
+  return opening;
+}
+
+template <class Numbers>
+double median(const Numbers& numbers) {
+  if (numbers.empty()) return 0;
+  std::vector<double> sorted(numbers.begin(), numbers.end());
+  const auto middle = sorted.begin() + static_cast<int64_t>(sorted.size() / 2);
+  std::nth_element(sorted.begin(), middle, sorted.end());
+  return *middle;
+}
+
+/// Brings the upper lids down to the lower ones by a share of the way.
+void close_lids(at::TensorAccessor<float, 2> frame, const Eigen::MatrixXd& landmarks,
+                double closure) {
+  for (const auto& [upper, lower] : kLids) {
+    for (int axis = 0; axis < 3; ++axis) {
+      const double gap =
+          landmarks(lower, axis) + frame[lower][axis] - landmarks(upper, axis) - frame[upper][axis];
+      frame[upper][axis] += static_cast<float>(closure * gap);
+    }
+  }
 }
 
 /// Seconds at which the motion itself has the eyes closed.
 std::vector<double> closed_times(const Positions& motion, const Eigen::MatrixXd& landmarks,
                                  double fps) {
-  std::vector<double> opening(motion.size(0), 0.0);
-  for (size_t t = 0; t < opening.size(); ++t) {
-    const auto frame = motion[static_cast<int64_t>(t)];
-    for (const auto& [upper, lower] : kLids) {
-      opening[t] += landmarks(upper, 1) + frame[upper][1] - landmarks(lower, 1) - frame[lower][1];
-    }
+  std::vector<double> opening;
+  for (int64_t t = 0; t < motion.size(0); ++t) {
+    opening.push_back(opening_of(motion[t], landmarks));
   }
-  std::vector<double> sorted = opening;
-  const auto middle = sorted.begin() + static_cast<int64_t>(sorted.size() / 2);
-  std::nth_element(sorted.begin(), middle, sorted.end());
+  const double closed = kClosed * median(opening);
   std::vector<double> times;
   for (size_t t = 0; t < opening.size(); ++t) {
-    if (opening[t] < kClosed * *middle) times.push_back(static_cast<double>(t) / fps);
+    if (opening[t] < closed) times.push_back(static_cast<double>(t) / fps);
   }
   return times;
 }
@@ -63,21 +77,43 @@ std::vector<double> closed_times(const Positions& motion, const Eigen::MatrixXd&
 void add_blinks(at::Tensor& motion, const Eigen::MatrixXd& landmarks, double fps, uint64_t seed) {
   auto frames = motion.accessor<float, 3>();
   const std::vector<double> own = closed_times(frames, landmarks, fps);
-  for (const double blink : blink_times(static_cast<double>(frames.size(0)) / fps, seed)) {
-    const auto near = [&](double time) { return std::abs(time - blink) < kApart; };
+  const double duration_s = static_cast<double>(frames.size(0)) / fps;
+  for (BlinkTimes times(seed); times.next() < duration_s; times.advance()) {
+    const auto near = [&](double time) { return std::abs(time - times.next()) < kApart; };
     if (std::any_of(own.begin(), own.end(), near)) continue;
-    const auto first = static_cast<int64_t>(std::ceil(blink * fps));
-    for (int64_t t = first; t < frames.size(0); ++t) {
-      const double time = static_cast<double>(t) / fps - blink;
-      if (time > kClosing + kShut + kOpening) break;
-      const double closure = kClosure * lid(time);
-      for (const auto& [upper, lower] : kLids) {
-        for (int axis = 0; axis < 3; ++axis) {
-          const double gap = landmarks(lower, axis) + frames[t][lower][axis] -
-                             landmarks(upper, axis) - frames[t][upper][axis];
-          frames[t][upper][axis] += static_cast<float>(closure * gap);
-        }
-      }
+    for (auto t = static_cast<int64_t>(std::ceil(times.next() * fps)); t < frames.size(0); ++t) {
+      const double time = static_cast<double>(t) / fps - times.next();
+      if (time > kDuration) break;
+      close_lids(frames[t], landmarks, kClosure * lid(time));
+    }
+  }
+}
+
+BlinkTimes::BlinkTimes(uint64_t seed) : random_(seed) { next_ = 0.6 + 2 * uniform(); }
+
+double BlinkTimes::uniform() {
+  // Raw bits, not std::uniform_real_distribution: the same on every platform.
+  return static_cast<double>(random_() >> 11) * 0x1p-53;
+}
+
+void BlinkTimes::advance() { next_ += 2.5 + 3.5 * uniform(); }
+
+BlinkStream::BlinkStream(const Eigen::MatrixXd& landmarks, double fps, uint64_t seed)
+    : landmarks_(landmarks), fps_(fps), times_(seed) {}
+
+void BlinkStream::add(at::Tensor& motion) {
+  auto frames = motion.accessor<float, 3>();
+  const auto remembered = static_cast<size_t>(std::ceil(kRemembered * fps_));
+  for (int64_t t = 0; t < frames.size(0); ++t, ++frame_) {
+    const double time = static_cast<double>(frame_) / fps_;
+    openings_.push_back(opening_of(frames[t], landmarks_));
+    if (openings_.size() > remembered) openings_.pop_front();
+    if (openings_.back() < kClosed * median(openings_)) own_ = time;
+    for (; times_.next() <= time; times_.advance()) {
+      if (times_.next() - own_ >= kApart) blink_ = times_.next();
+    }
+    if (time - blink_ <= kDuration) {
+      close_lids(frames[t], landmarks_, kClosure * lid(time - blink_));
     }
   }
 }

@@ -8,6 +8,7 @@
 #include "freetalk/core/module_io.h"
 #include "freetalk/core/safetensors.h"
 #include "freetalk/speech/pretrained.h"
+#include "freetalk/talker/models.h"
 #include "freetalk/talker/talker.h"
 
 namespace freetalk::talker {

@@ -104,7 +104,10 @@ def test_animates_in_the_meshs_own_unit_and_axes(
     np.testing.assert_allclose(upright, [0, 1, 0], atol=1e-12)
     np.testing.assert_array_equal(animation.faces, face.faces)
     assert talker.report is not None
-    assert set(talker.report.timings) == {"align", "operators", "speech", "motion", "surface"}
+    prepared = {"align", "parts", "operators", "features"}
+    assert set(talker.report.timings) == prepared | {"speech", "motion", "surface"}
+    assert talker.report.num_frames == 24
+    assert animation.metadata["decoding"]["decoded_frames"] == talker.report.decoded_frames
     for name in ("talk.npz", "talk.glb"):
         animation.save(tmp_path / name)
         assert (tmp_path / name).stat().st_size > 0
@@ -206,6 +209,7 @@ def test_several_performances_at_once(
     talker: freetalk.Talker, speech: freetalk.Audio, face: freetalk.Mesh, cache: str
 ) -> None:
     options: dict[str, object] = {"fps": 10, "cache_dir": cache, "progress": False, **POSE}
+    options["tolerance_mm"] = 0  # which frames are decoded may turn on a rounding
     emotion = [(0.0, "neutral", 1), (0.6, {"happy": 0.7, "surprise": 0.3}, 2.5)]
     both = talker.animate_many(speech, face, seeds=[5, 6], emotion=emotion, **options)
     alone = talker.animate(speech, face, seed=6, emotion=emotion, **options)
@@ -215,3 +219,70 @@ def test_several_performances_at_once(
     assert not torch.allclose(both[0].displacements, alone.displacements, rtol=1e-3, atol=1e-5)
     with pytest.raises(ValueError, match="seed"):
         talker.animate_many(speech, face, seeds=[], **options)
+
+
+def test_a_prepared_face_gives_what_one_call_gives(
+    talker: freetalk.Talker, speech: freetalk.Audio, face: freetalk.Mesh, cache: str
+) -> None:
+    prepared = talker.prepare(face, **POSE, cache_dir=cache, progress=False)
+    whole = talker.animate(speech, face, seed=4, **POSE, cache_dir=cache, progress=False)
+    out = torch.full((prepared.num_frames(speech), len(face.vertices), 3), torch.nan)
+    animation, report = prepared.animate_with_report(speech, seed=4, out=out, progress=False)
+    assert animation.displacements.data_ptr() == out.data_ptr()
+    assert torch.equal(out, whole.displacements)
+    assert animation.metadata == whole.metadata
+    assert set(report.timings) == {"speech", "motion", "surface"}
+    both = prepared.animate_many(speech, seeds=[4, 5], tolerance_mm=0, progress=False)
+    exact = prepared.animate(speech, seed=4, tolerance_mm=0, progress=False)
+    torch.testing.assert_close(both[0].displacements, exact.displacements, rtol=1e-3, atol=1e-5)
+    with pytest.raises(ValueError, match="out must be"):
+        prepared.animate(speech, out=out[1:], progress=False)
+
+
+def test_what_is_none_is_as_the_weights_say(
+    talker: freetalk.Talker, speech: freetalk.Audio, face: freetalk.Mesh, cache: str
+) -> None:
+    prepared = talker.prepare(face, **POSE, cache_dir=cache, progress=False)
+    own = prepared.animate(speech, progress=False)
+    told = prepared.animate(
+        speech, num_steps=None, sampler=None, eta=None, intensity=None, progress=False
+    )
+    assert torch.equal(own.displacements, told.displacements)
+    assert own.metadata["options"]["num_steps"] is None
+    four = prepared.animate(speech, num_steps=4, eta=0.0, intensity=2.0, progress=False)
+    assert torch.equal(own.displacements, four.displacements)
+    with pytest.raises(ValueError, match="'num_steps' must be an integer or null"):
+        prepared.animate(speech, num_steps="four", progress=False)
+
+
+def test_native_warnings_reach_logging(
+    talker: freetalk.Talker,
+    face: freetalk.Mesh,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    (tmp_path / "file").write_text("no folder")
+    with caplog.at_level("WARNING", logger="freetalk"):
+        talker.prepare(face, **POSE, cache_dir=str(tmp_path / "file" / "cache"), progress=False)
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+    assert "not kept" in caplog.text
+
+
+def test_live_frames_do_not_depend_on_how_samples_come(
+    talker: freetalk.Talker, face: freetalk.Mesh, cache: str
+) -> None:
+    wave = np.array(freetalk.load_audio(assets.speech_clip()).samples)[:40000]
+    live = talker.prepare(face, **POSE, cache_dir=cache, progress=False).live(emotion="happy")
+    whole = live.push(wave) + live.finish()
+    assert [frame.index for frame in whole] == list(range(75))
+    assert whole[30].time_s == 1.0
+    cut = [frame for part in np.array_split(wave, 37) for frame in live.push(part)] + live.finish()
+    for first, second in zip(whole, cut, strict=True):
+        assert torch.equal(first.landmarks, second.landmarks)
+    assert live.latency_s == pytest.approx(0.5)
+    assert live.decode(whole[40]).shape == (6706, 3)
+    live.set_emotion({"sad": 1.0}, 3)
+    with pytest.raises(ValueError, match="surprise"):
+        live.set_emotion("hungry")
+    with pytest.raises(ValueError, match="one channel"):
+        live.push(wave.reshape(2, -1))

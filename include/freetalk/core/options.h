@@ -8,15 +8,19 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <variant>
 #include <vector>
 
 namespace freetalk::core {
 
-/// Everything an option may hold.
-using OptionValue = std::variant<bool, int64_t, double, std::string, std::vector<int64_t>,
-                                 std::vector<double>, std::vector<std::string>>;
+/// Everything an option may hold. Nothing in an optional one (null in JSON and YAML, None in
+/// Python) leaves the choice to whoever reads it.
+using OptionValue =
+    std::variant<bool, int64_t, double, std::string, std::vector<int64_t>, std::vector<double>,
+                 std::vector<std::string>, std::optional<int64_t>, std::optional<double>,
+                 std::optional<std::string>>;
 
 struct NamedOption {
   std::string name;
@@ -27,7 +31,9 @@ struct NamedOption {
 template <class Options>
 std::vector<NamedOption> list_options(const Options& options) {
   std::vector<NamedOption> result;
-  auto visit = [&result](const char* name, auto& field) { result.push_back({name, field}); };
+  auto visit = [&result](const char* name, auto& field) {
+    result.push_back({name, OptionValue(std::in_place_type<std::decay_t<decltype(field)>>, field)});
+  };
   const_cast<Options&>(options).fields(visit);
   return result;
 }

@@ -88,7 +88,7 @@ int64_t num_motion_frames(int64_t num_samples, double fps);
 /// clip's, so the difference falls with the square root of window_s, and more context changes
 /// nothing. Relative to one pass over 158 s of speech the shipped encoder's features differ by
 /// 0.23 (window_s 6), 0.17 (12), 0.14 (20), 0.10 (40), 0.08 (60), root mean square.
-/// @param encoder left as it was (device, training mode)
+/// @param encoder left as it was (device, training mode); shared by threads only in evaluation mode
 /// @param samples (S,) float in [-1, 1], 16 kHz, not normalised; moved to the encoder's device
 /// piece by piece
 /// @param fps of the motion, > 0; nothing for the encoder's own frames

@@ -33,6 +33,7 @@ class SpeechStream {
                         EncodeOptions options = stream_options(),
                         std::optional<at::Tensor> layer_weights = std::nullopt);
   ~SpeechStream();
+  SpeechStream(SpeechStream&&) noexcept;
 
   /// @param samples (n,) float in [-1, 1], 16 kHz, not normalised; n may be 0
   /// @return (m, C) float32, the next frames that are final, m may be 0
@@ -45,6 +46,9 @@ class SpeechStream {
   /// Longest time between a frame's moment and the sample that makes it final: a piece's own part,
   /// the lookahead and half of the fade.
   double latency_s() const;
+
+  /// Numbers held between calls: they stop growing with the window.
+  int64_t num_held() const;
 
  private:
   SpeechEncoder encoder_;

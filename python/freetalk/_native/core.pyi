@@ -14,6 +14,7 @@ __all__: list[str] = [
     "read_model_options",
     "save_model_files",
     "save_safetensors",
+    "set_log_sink",
 ]
 
 def default_cache_dir() -> pathlib.Path:
@@ -52,6 +53,11 @@ def save_safetensors(
 ) -> None:
     """
     Writes tensors by name to a safetensors file, atomically.
+    """
+
+def set_log_sink(sink: collections.abc.Callable[[int, str], None] | None) -> None:
+    """
+    Hands what the native library has to say to sink(level, text), levels as in logging; None: warnings to stderr.
     """
 
 NUM_LANDMARKS: int = 68

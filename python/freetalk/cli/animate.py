@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import tempfile
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -62,6 +63,7 @@ def animate(
         options["mouth_temperature"] = arguments.mouth_temperature
     if hasattr(arguments, "guidance"):
         options.update(arguments.guidance)
+    options["scratch_dir"] = tempfile.gettempdir()  # long speech: results larger than memory
     animation = talker.animate(audio, mesh, **options, progress=not report.quiet)
     found = talker.report
     assert found is not None
@@ -70,6 +72,11 @@ def animate(
         report.line("note", notice, timed=False)
     stages = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in found.timings.items())
     text = f"{animation.num_frames} frames, {animation.duration_s:.2f} s, {arguments.emotion}"
+    if found.decoded_frames < found.num_frames:
+        text += (
+            f"; {found.decoded_frames} decoded, the rest within {found.decode_error_mm:.2f} mm and "
+            f"{found.decode_error:.1%} on average where checked"
+        )
     report.line("animated", f"{text} ({stages})")
     return animation
 

@@ -63,6 +63,7 @@ def make_parser() -> Parser:
     parser.add_argument("--version", action=_Version, help="print the version and leave")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     _add_animate(commands)
+    _add_live(commands)
     _add_train(commands)
     _add_evaluate(commands)
     _add_corpus(commands)
@@ -145,7 +146,8 @@ def _add_animate(commands: Any) -> None:
     parser.add_argument("--mesh", metavar="FILE", help=mesh_help)
     emotion_help = "a name such as neutral, happy or angry, a mixture, or keyframes (see above)"
     parser.add_argument("--emotion", default="neutral", help=emotion_help)
-    parser.add_argument("--intensity", type=intensity, default=2.0, help="1 (slight) to 3 (strong)")
+    intensity_help = "1 (slight) to 3 (strong); by default the middle"
+    parser.add_argument("--intensity", type=intensity, help=intensity_help)
     parser.add_argument("--fps", type=positive, default=30.0, help="frames per second")
     parser.add_argument("--seed", type=seed, default=0, help="another seed, another performance")
     add_sampling(parser)
@@ -156,6 +158,37 @@ def _add_animate(commands: Any) -> None:
     )
     parser.add_argument("--size", type=picture_size, default="720x720", help="pixels of an .mp4")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+
+
+def _add_live(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "live",
+        "live:run",
+        "animate a face mesh while the speech is being spoken",
+        description=(
+            "Animates a face mesh with speech as it is spoken, about half a second behind it, and prints frames per "
+            "second and latency. The speech comes from the microphone, from a recording in its own time, or as "
+            "signed 16-bit mono samples at 16 kHz from a pipe: 'arecord -f S16_LE -r 16000 | freetalk live "
+            "--audio - --mesh face.obj'."
+        ),
+    )
+    audio_help = "a recording, or '-' for samples on stdin; without it the microphone"
+    parser.add_argument("--audio", metavar="FILE", help=audio_help)
+    mesh_help = "face: OBJ, PLY, OFF, STL, glTF; without it the built-in mean face"
+    parser.add_argument("--mesh", metavar="FILE", help=mesh_help)
+    parser.add_argument("--emotion", default="neutral", help="as of 'freetalk animate'")
+    parser.add_argument("--intensity", type=intensity, help="1 (slight) to 3 (strong)")
+    parser.add_argument("--seed", type=seed, default=0, help="another seed, another performance")
+    parser.add_argument(
+        "--vertices", action="store_true", help="also compute the vertices of every frame"
+    )
+    precisions = ("float32", "bfloat16")
+    parser.add_argument(
+        "--precision", choices=precisions, default="float32", help="of the networks"
+    )
+    _add_pose(parser)
+    _add_pretrained(parser)
 
 
 def _add_train(commands: Any) -> None:

@@ -65,7 +65,7 @@ TEST(AtsInference, EqualsForward) {
       const at::Tensor audio = torch::randn({2, frames, 5}, draw);
       const Affect felt = changing_affect(frames);
       const at::Tensor x = torch::randn({3, 2, frames, kMotionDim}, draw);
-      AtsInference network(*model, {999, 40}, frames, at::kFloat, 2 * frames);
+      AtsInference network(*model, {999, 40}, at::kFloat, 2 * frames);
       const auto prepared = network.prepare(audio, felt, /*null_audio=*/true);
       const at::Tensor guesses =
           network.denoise(x, 40, prepared, {{false, 1}, {true, 0}, {false, 2}});

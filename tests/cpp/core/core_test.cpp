@@ -13,6 +13,7 @@
 #include "core/scratch.h"
 #include "freetalk/core/error.h"
 #include "freetalk/core/file.h"
+#include "freetalk/core/log.h"
 #include "freetalk/core/module_io.h"
 #include "freetalk/core/options.h"
 #include "freetalk/core/random.h"
@@ -28,6 +29,8 @@ struct SampleOptions {
   bool flag = false;
   std::string name = "a";
   std::vector<int64_t> sizes = {1, 2};
+  std::optional<double> limit;
+  std::optional<std::string> folder = "here";
   template <class V>
   void fields(V& v) {
     v("width", width);
@@ -35,6 +38,8 @@ struct SampleOptions {
     v("flag", flag);
     v("name", name);
     v("sizes", sizes);
+    v("limit", limit);
+    v("folder", folder);
   }
   void check() const { FREETALK_CHECK(width > 0, "width must be positive, found ", width); }
 };
@@ -60,6 +65,38 @@ TEST(Options, RoundTripThroughJson) {
   options_from_json(copy, options_to_json(options), "test");
   EXPECT_EQ(options_to_json(copy), options_to_json(options));
   EXPECT_EQ(copy.sizes, (std::vector<int64_t>{4, 5, 6}));
+}
+
+TEST(Options, NothingIsNull) {
+  SampleOptions options;
+  EXPECT_NE(options_to_json(options).find(R"("limit":null,"folder":"here")"), std::string::npos);
+  options_from_json(options, R"({"limit": 2, "folder": null})", "test");
+  EXPECT_EQ(options.limit, 2.0);
+  EXPECT_EQ(options.folder, std::nullopt);
+  options_from_json(options, R"({"limit": null})", "test");
+  EXPECT_EQ(options.limit, std::nullopt);
+  EXPECT_NE(error_of([&] {
+              options_from_json(options, R"({"limit": "x"})", "f");
+            }).find("a number or null"),
+            std::string::npos);
+  EXPECT_NE(
+      error_of([&] { options_from_json(options, R"({"width": null})", "f"); }).find("an integer"),
+      std::string::npos);
+}
+
+TEST(Log, GoesToTheSink) {
+  std::vector<std::string> told;
+  set_log_sink([&](LogLevel level, const std::string& text) {
+    if (level >= LogLevel::kInfo) told.push_back(text);
+  });
+  log(LogLevel::kDebug, "detail");
+  log(LogLevel::kWarning, "careful");
+  set_log_sink({});
+  ::testing::internal::CaptureStderr();
+  log(LogLevel::kInfo, "not told");
+  log(LogLevel::kError, "told by default");
+  EXPECT_EQ(told, std::vector<std::string>{"careful"});
+  EXPECT_EQ(::testing::internal::GetCapturedStderr(), "freetalk: told by default\n");
 }
 
 TEST(Options, UnknownKeyNamesTheNearest) {

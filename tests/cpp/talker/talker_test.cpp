@@ -1,131 +1,14 @@
 #include "freetalk/talker/talker.h"
 
-#include <ATen/ATen.h>
-#include <gtest/gtest.h>
-#include <torch/torch.h>
-
-#include <cmath>
-#include <filesystem>
 #include <nlohmann/json.hpp>
 
-#include "freetalk/core/file.h"
-#include "freetalk/core/module_io.h"
-#include "freetalk/speech/pretrained.h"
+#include "small_talker.h"
 
 namespace freetalk::talker {
 namespace {
 
-namespace fs = std::filesystem;
-
-/// A bumpy oval with a nose, metres.
-mesh::Mesh face_mesh(double unit) {
-  constexpr int kN = 21;
-  Eigen::MatrixXd vertices(kN * kN, 3);
-  std::vector<std::vector<int>> polygons;
-  for (int i = 0; i < kN; ++i) {
-    for (int j = 0; j < kN; ++j) {
-      const double x = 0.15 * (double(j) / (kN - 1) - 0.5), y = 0.19 * (double(i) / (kN - 1) - 0.5);
-      const double nose = 0.03 * std::exp(-(x * x + (y + 0.005) * (y + 0.005)) / 2e-4);
-      const double brow = 0.008 * std::exp(-(y - 0.05) * (y - 0.05) / 1e-4);
-      const double chin = 0.012 * std::exp(-(x * x + (y + 0.07) * (y + 0.07)) / 4e-4);
-      vertices.row(i * kN + j) << unit * x, unit * y,
-          unit * (0.02 - 9 * x * x - 2.5 * y * y + nose + brow + chin);
-      if (i + 1 < kN && j + 1 < kN) {
-        const int a = i * kN + j;
-        polygons.push_back({a, a + 1, a + kN + 1, a + kN});
-      }
-    }
-  }
-  return mesh::make_mesh(vertices, polygons, Eigen::MatrixXd(0, 2), {}, "oval");
-}
-
-audio::Audio hum(double seconds, double amplitude = 0.3) {
-  audio::Audio audio;
-  audio.samples.resize(static_cast<size_t>(seconds * 16000));
-  for (size_t i = 0; i < audio.samples.size(); ++i) {
-    const double t = static_cast<double>(i) / 16000;
-    audio.samples[i] =
-        static_cast<float>(amplitude * std::sin(900 * t) * (0.6 + 0.4 * std::sin(20 * t)));
-  }
-  return audio;
-}
-
-/// Writes small random weights once for all tests of this program.
-class TalkerTest : public ::testing::Test {
- protected:
-  static void SetUpTestSuite() {
-    torch::manual_seed(11);
-    dir_ = fs::temp_directory_path() / ("freetalk_talker_test_" + std::to_string(::getpid()));
-    fs::create_directories(dir_);
-    speech::SpeechEncoderOptions heard = speech::hubert_tiny();
-    heard.num_hidden_layers = 1;
-    heard.hidden_size = 32;
-    heard.num_attention_heads = 2;
-    heard.intermediate_size = 32;
-    heard.conv_dim = std::vector<int64_t>(heard.conv_dim.size(), 16);
-    heard.num_conv_pos_embeddings = 8;
-    heard.num_conv_pos_embedding_groups = 4;
-    speech::save_speech_encoder(speech::SpeechEncoder(heard), dir_ / "speech");
-    ats::AtsOptions ats;
-    ats.d_model = 32;
-    ats.num_layers = 1;
-    ats.num_heads = 2;
-    ats.ff_dim = 32;
-    ats.audio_dim = 32;
-    ats.max_frames = 60;
-    ats::Ats denoiser(ats);
-    denoiser->set_motion_statistics(at::zeros({204}), at::full({204}, 2e-3));
-    core::save_model(dir_ / "ats", "freetalk-ats", core::options_to_json(ats), *denoiser);
-    stm::StmOptions stm;
-    stm.encoder_width = stm.decoder_width = stm.feature_dim = 16;
-    stm.encoder_blocks = stm.decoder_blocks = 1;
-    stm.gcn_hidden = stm.index_code_dim = stm.attention_dim = 16;
-    stm.k_eig = 16;
-    stm::Stm decoder(stm);
-    {
-      const torch::NoGradGuard no_grad;  // the last layer starts at zero: nothing would move
-      for (auto& item : decoder->named_parameters()) {
-        if (item.key().find("decoder.last_lin") == 0) item.value().normal_(0, 0.1);
-      }
-    }
-    core::save_model(dir_ / "stm", "freetalk-stm", core::options_to_json(stm), *decoder);
-    const auto mesh = face_mesh(1.0);
-    const auto samples = geometry::sample_surface(mesh.vertices, mesh.faces, 1500);
-    Eigen::MatrixXd landmarks(68, 3);
-    for (int i = 0; i < 68; ++i) {
-      const double angle = 2 * M_PI * i / 68;
-      landmarks.row(i) << 0.04 * std::cos(angle), 0.05 * std::sin(angle), 0.01;
-    }
-    core::save_safetensors(dir_ / "template.safetensors", {{"points", tensor(samples.points)},
-                                                           {"normals", tensor(samples.normals)},
-                                                           {"landmarks68", tensor(landmarks)}});
-    core::write_file_atomic(
-        dir_ / "talker.json",
-        std::string(R"({"format":"freetalk-talker","version":1,"generate":{"num_steps":4}})"));
-  }
-  static void TearDownTestSuite() { fs::remove_all(dir_); }
-
-  static at::Tensor tensor(const Eigen::MatrixXd& matrix) {
-    const Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> rows =
-        matrix.cast<float>();
-    return at::from_blob(const_cast<float*>(rows.data()), {rows.rows(), rows.cols()}).clone();
-  }
-
-  static TalkerOptions options() {
-    TalkerOptions result;
-    result.cache_dir = (dir_ / "cache").string();
-    result.unit = "m";
-    result.up = "+y";
-    result.forward = "+z";
-    return result;
-  }
-
-  static fs::path dir_;
-};
-fs::path TalkerTest::dir_;
-
 TEST_F(TalkerTest, GivesOneFramePerPeriodOfTheRequestedRate) {
-  auto talker = Talker::from_pretrained(dir_, c10::kCPU);
+  const auto talker = Talker::from_pretrained(dir_, c10::kCPU);
   const auto mesh = face_mesh(1.0);
   for (const double fps : {30.0, 25.0, 60.0, 0.1}) {
     auto wanted = options();
@@ -142,7 +25,7 @@ TEST_F(TalkerTest, GivesOneFramePerPeriodOfTheRequestedRate) {
 }
 
 TEST_F(TalkerTest, SameSeedSameBitsOtherSeedOtherMotion) {
-  auto talker = Talker::from_pretrained(dir_, c10::kCPU);
+  const auto talker = Talker::from_pretrained(dir_, c10::kCPU);
   const auto mesh = face_mesh(1.0);
   auto wanted = options();
   const auto first = talker.animate(hum(1.0), mesh, wanted);
@@ -155,7 +38,7 @@ TEST_F(TalkerTest, SameSeedSameBitsOtherSeedOtherMotion) {
 }
 
 TEST_F(TalkerTest, ChunksOfFramesGiveTheSame) {
-  auto talker = Talker::from_pretrained(dir_, c10::kCPU);
+  const auto talker = Talker::from_pretrained(dir_, c10::kCPU);
   const auto mesh = face_mesh(1.0);
   auto wanted = options();
   const auto whole = talker.animate(hum(2.0), mesh, wanted);
@@ -166,7 +49,7 @@ TEST_F(TalkerTest, ChunksOfFramesGiveTheSame) {
 }
 
 TEST_F(TalkerTest, MeshUnitComesBack) {
-  auto talker = Talker::from_pretrained(dir_, c10::kCPU);
+  const auto talker = Talker::from_pretrained(dir_, c10::kCPU);
   auto wanted = options();
   const auto metres = talker.animate(hum(0.5), face_mesh(1.0), wanted);
   wanted.unit = "cm";
@@ -179,7 +62,7 @@ TEST_F(TalkerTest, MeshUnitComesBack) {
 }
 
 TEST_F(TalkerTest, SilenceGivesARestingFaceAndANotice) {
-  auto talker = Talker::from_pretrained(dir_, c10::kCPU);
+  const auto talker = Talker::from_pretrained(dir_, c10::kCPU);
   Report report;
   const auto animation = talker.animate(hum(1.0, 0.0), face_mesh(1.0), options(), {}, &report);
   EXPECT_EQ(animation.num_frames(), 30);
@@ -188,10 +71,11 @@ TEST_F(TalkerTest, SilenceGivesARestingFaceAndANotice) {
 }
 
 TEST_F(TalkerTest, BlinksUnlessAskedNotTo) {
-  auto talker = Talker::from_pretrained(dir_, c10::kCPU);
+  const auto talker = Talker::from_pretrained(dir_, c10::kCPU);
   const auto mesh = face_mesh(1.0);
   for (const double loudness : {0.0, 0.3}) {
     auto wanted = options();
+    wanted.tolerance_mm = 0;  // interpolation carries a blink's trace to other frames
     const auto with = talker.animate(hum(4.0, loudness), mesh, wanted).displacements;
     wanted.blinks = false;
     Report report;
@@ -208,7 +92,7 @@ TEST_F(TalkerTest, BlinksUnlessAskedNotTo) {
 }
 
 TEST_F(TalkerTest, ReportsStagesInOrder) {
-  auto talker = Talker::from_pretrained(dir_, c10::kCPU);
+  const auto talker = Talker::from_pretrained(dir_, c10::kCPU);
   std::vector<std::string> seen;
   double last = 0;
   Report report;
@@ -224,22 +108,29 @@ TEST_F(TalkerTest, ReportsStagesInOrder) {
         last = fraction;
       },
       &report);
-  EXPECT_EQ(seen, (std::vector<std::string>{"align", "operators", "speech", "motion", "surface"}));
-  EXPECT_EQ(report.timings.size(), 5u);
+  EXPECT_EQ(seen, (std::vector<std::string>{"align", "parts", "operators", "features", "speech",
+                                            "motion", "surface"}));
+  EXPECT_EQ(report.timings.size(), 7u);
   EXPECT_FALSE(report.alignment.summary.empty());
   EXPECT_FALSE(report.parts.empty());
 }
 
-TEST_F(TalkerTest, ProgressMayStopIt) {
-  auto talker = Talker::from_pretrained(dir_, c10::kCPU);
-  const auto stop = [](const std::string& stage, double) {
-    if (stage == "motion") throw std::domain_error("stop");
-  };
-  EXPECT_THROW(talker.animate(hum(0.5), face_mesh(1.0), options(), stop), std::domain_error);
+TEST_F(TalkerTest, ProgressMayStopItInEveryStage) {
+  const auto talker = Talker::from_pretrained(dir_, c10::kCPU);
+  auto wanted = options();
+  wanted.cache_dir.reset();
+  for (const char* stage :
+       {"align", "parts", "operators", "features", "speech", "motion", "surface"}) {
+    const auto stop = [&](const std::string& current, double) {
+      if (current == stage) throw std::domain_error("stop");
+    };
+    EXPECT_THROW(talker.animate(hum(0.5), face_mesh(1.0), wanted, stop), std::domain_error)
+        << stage;
+  }
 }
 
 TEST_F(TalkerTest, BadInputIsOneSentence) {
-  auto talker = Talker::from_pretrained(dir_, c10::kCPU);
+  const auto talker = Talker::from_pretrained(dir_, c10::kCPU);
   const auto mesh = face_mesh(1.0);
   const auto rejected = [&](auto change) {
     auto wanted = options();
@@ -274,7 +165,7 @@ TEST_F(TalkerTest, BadInputIsOneSentence) {
 }
 
 TEST_F(TalkerTest, AcceptsAliasesAndMixtures) {
-  auto talker = Talker::from_pretrained(dir_, c10::kCPU);
+  const auto talker = Talker::from_pretrained(dir_, c10::kCPU);
   const auto mesh = face_mesh(1.0);
   auto wanted = options();
   wanted.emotion = "fear";
@@ -287,11 +178,12 @@ TEST_F(TalkerTest, AcceptsAliasesAndMixtures) {
 }
 
 TEST_F(TalkerTest, EmotionKeysBeginAsTheFirstAndEndAsTheLast) {
-  auto talker = Talker::from_pretrained(dir_, c10::kCPU);
+  const auto talker = Talker::from_pretrained(dir_, c10::kCPU);
   const auto mesh = face_mesh(1.0);
   const auto animate = [&](const char* emotion) {
     auto wanted = options();
     wanted.emotion = emotion;
+    wanted.tolerance_mm = 0;
     return talker.animate(hum(0.5), mesh, wanted).displacements;
   };
   // Two equal keys are one constant emotion, up to the rounding of other sums.
@@ -303,11 +195,32 @@ TEST_F(TalkerTest, EmotionKeysBeginAsTheFirstAndEndAsTheLast) {
   EXPECT_TRUE(at::equal(animate("neutral@3"), animate("neutral@1")));
 }
 
+TEST_F(TalkerTest, InterpolatedFramesKeepToTheTolerance) {
+  const auto talker = Talker::from_pretrained(dir_, c10::kCPU);
+  const auto mesh = face_mesh(1.0);
+  auto wanted = options();
+  wanted.blinks = false;
+  wanted.tolerance_mm = 0;
+  Report exact, adaptive;
+  const auto every = talker.animate(hum(6.0), mesh, wanted, {}, &exact).displacements;
+  wanted.tolerance_mm = 0.2;
+  const auto some = talker.animate(hum(6.0), mesh, wanted, {}, &adaptive);
+  EXPECT_EQ(exact.num_frames, 180);
+  EXPECT_EQ(exact.decoded_frames, 180);
+  EXPECT_EQ(adaptive.num_frames, 180);
+  EXPECT_LE(adaptive.decoded_frames, 180);
+  EXPECT_LE(adaptive.decode_error_mm, 0.2);
+  EXPECT_LE((some.displacements - every).norm(2, 2).max().item<double>(), 0.2e-3);
+  const auto told = nlohmann::json::parse(some.metadata_json)["decoding"];
+  EXPECT_EQ(told["decoded_frames"], adaptive.decoded_frames);
+}
+
 TEST_F(TalkerTest, SeveralSeedsAtOnce) {
-  auto talker = Talker::from_pretrained(dir_, c10::kCPU);
+  const auto talker = Talker::from_pretrained(dir_, c10::kCPU);
   const auto mesh = face_mesh(1.0);
   auto wanted = options();
   wanted.sampler = "dpmpp";
+  wanted.tolerance_mm = 0;  // which frames are decoded may turn on a rounding
   const auto all = talker.animate_many(hum(0.5), mesh, {4, 5}, wanted);
   ASSERT_EQ(all.size(), 2u);
   for (size_t k = 0; k < 2; ++k) {

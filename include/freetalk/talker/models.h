@@ -1,0 +1,28 @@
+// The networks of a talker, for those who bring their own; everyone else needs talker.h alone.
+#pragma once
+
+#include <Eigen/Core>
+
+#include "freetalk/ats/ats.h"
+#include "freetalk/ats/generate.h"
+#include "freetalk/speech/encoder.h"
+#include "freetalk/stm/stm.h"
+
+namespace freetalk::talker {
+
+/// Samples of the mean face in the canonical frame, used for alignment and to tell parts apart.
+struct Template {
+  Eigen::MatrixXd points;       // (P, 3) m
+  Eigen::MatrixXd normals;      // (P, 3)
+  Eigen::MatrixXd landmarks68;  // (68, 3) m
+};
+
+struct TalkerModels {
+  speech::SpeechEncoder speech{nullptr};
+  ats::Ats ats{nullptr};
+  stm::Stm stm{nullptr};
+  Template face;
+  ats::GenerateOptions generate;  // the weights' own sampling options
+};
+
+}  // namespace freetalk::talker

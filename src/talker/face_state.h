@@ -1,0 +1,38 @@
+// What a Face holds.
+#pragma once
+
+#include <ATen/core/Tensor.h>
+#include <c10/core/Device.h>
+
+#include <memory>
+
+#include "freetalk/animation/parts.h"
+#include "freetalk/stm/frame_decoder.h"
+#include "freetalk/talker/face.h"
+#include "freetalk/talker/models.h"
+
+namespace freetalk::talker {
+
+struct Face::State {
+  std::shared_ptr<const TalkerModels> models;
+  c10::Device device;
+  mesh::Mesh mesh;
+  FaceOptions options;
+  Report report;
+  animation::MeshFrame frame;
+  at::Tensor rest;     // (V, 3) float32 vertices
+  at::Tensor to_mesh;  // (3, 3) float32: rows of displacements in metres to the mesh's own unit
+  std::unique_ptr<const animation::Parts> parts;
+  std::unique_ptr<const stm::FrameDecoder> decoder;
+
+  /// @throws as Talker::prepare.
+  static std::shared_ptr<const State> prepare(std::shared_ptr<const TalkerModels> models,
+                                              c10::Device device, const mesh::Mesh& mesh,
+                                              const FaceOptions& options, const Progress& progress);
+
+  /// Displacements of the mesh, its own unit, from those of the skin. @param skin (t, Vf, 3) m.
+  /// @param landmarks (t, 68, 3) m, CPU. @returns (t, V, 3) float32.
+  at::Tensor in_mesh(const at::Tensor& skin, const at::Tensor& landmarks) const;
+};
+
+}  // namespace freetalk::talker

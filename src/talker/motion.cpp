@@ -1,0 +1,129 @@
+#include "motion.h"
+
+#include <ATen/ATen.h>
+
+#include <algorithm>
+
+#include "freetalk/animation/resample.h"
+#include "freetalk/core/error.h"
+#include "freetalk/core/random.h"
+#include "freetalk/speech/features.h"
+#include "freetalk/talker/blinks.h"
+#include "rest.h"
+
+namespace freetalk::talker {
+namespace {
+
+constexpr int64_t kDpmSolverSteps = 20;  // within 2 % of a hundred steps of DDIM
+
+/// Motion that each seed gives to the speech.
+std::vector<at::Tensor> spoken_motion(const TalkerModels& models, const audio::Audio& audio,
+                                      int64_t num_frames, const std::vector<int64_t>& seeds,
+                                      const AnimateOptions& options, const std::string& precision,
+                                      c10::Device device, Stages& stages) {
+  speech::SpeechEncoder encoder = models.speech;
+  ats::Ats denoiser = models.ats;
+  const auto& own = denoiser->options();
+  stages.begin("speech");
+  const auto heard = audio.sample_rate_hz == speech::kSampleRateHz
+                         ? audio
+                         : audio::resample(audio, speech::kSampleRateHz);
+  const auto samples = at::tensor(heard.samples);
+  const auto features =
+      speech::encode_speech(encoder, samples, own.fps, {}, [&](double share) { stages.at(share); });
+  stages.begin("motion");
+  const auto keys = emotion_keys(options.emotion, options.intensity, own);
+  const auto felt = keys.size() == 1
+                        ? ats::constant_affect(keys[0].emotion.to(device), keys[0].intensity)
+                        : ats::interpolate(keys, features.size(0), own.fps);
+  std::vector<at::Generator> generators;
+  for (const int64_t seed : seeds) {
+    generators.push_back(core::make_generator(static_cast<uint64_t>(seed), device));
+  }
+  const auto motion = ats::generate(
+      denoiser, features.to(device), felt, sampling_options(options, precision, models.generate),
+      generators, [&](int64_t done, int64_t total) {
+        stages.at(static_cast<double>(done) / static_cast<double>(total));
+      });
+  std::vector<at::Tensor> result;
+  for (const auto& one : motion.to(at::kCPU).unbind()) {
+    result.push_back(
+        animation::resample_motion(one, own.fps, options.fps, num_frames).contiguous());
+  }
+  return result;
+}
+
+}  // namespace
+
+ats::GenerateOptions sampling_options(const AnimateOptions& options, const std::string& precision,
+                                      ats::GenerateOptions own) {
+  if (options.sampler && *options.sampler != own.sampler) {
+    own.sampler = *options.sampler;
+    own.spacing = "auto";
+    own.eta = 0;
+    if (own.sampler == "dpmpp") own.num_steps = kDpmSolverSteps;
+  }
+  own.num_steps = options.num_steps.value_or(own.num_steps);
+  own.eta = options.eta.value_or(own.eta);
+  own.audio_guidance = options.audio_guidance.value_or(own.audio_guidance);
+  own.affect_guidance = options.affect_guidance.value_or(own.affect_guidance);
+  own.mouth_temperature = options.mouth_temperature.value_or(own.mouth_temperature);
+  own.precision = precision;
+  return own;
+}
+
+std::vector<ats::EmotionKey> emotion_keys(const std::string& emotion,
+                                          std::optional<double> intensity,
+                                          const ats::AtsOptions& own) {
+  const auto strongest = static_cast<double>(own.num_intensities);
+  auto keys =
+      ats::parse_emotion_keys(emotion, own.emotions, intensity.value_or((1 + strongest) / 2));
+  for (ats::EmotionKey& key : keys) {
+    FREETALK_CHECK(key.intensity >= 1 && key.intensity <= strongest, "emotion '", emotion,
+                   "': intensity must be between 1 and ", strongest, ", found ", key.intensity);
+    // Neutral has one intensity.
+    if (own.emotions.front() == "neutral" && key.emotion[0].item<float>() == 1.0f)
+      key.intensity = 1;
+  }
+  return keys;
+}
+
+void check_performance(const audio::Audio& audio, const std::vector<int64_t>& seeds,
+                       const AnimateOptions& options, const std::string& precision,
+                       const TalkerModels& models) {
+  options.check();
+  FREETALK_CHECK(!seeds.empty(), "expected at least one seed");
+  for (const int64_t seed : seeds) {
+    FREETALK_CHECK(seed >= 0, "seed must not be negative, found ", seed);
+  }
+  emotion_keys(options.emotion, options.intensity, models.ats->options());
+  sampling_options(options, precision, models.generate).check();
+  audio.check();
+  FREETALK_CHECK(!audio.samples.empty(), "the audio has no samples");
+}
+
+std::vector<at::Tensor> landmark_motion(const TalkerModels& models, const audio::Audio& audio,
+                                        int64_t num_frames, const std::vector<int64_t>& seeds,
+                                        const AnimateOptions& options, const std::string& precision,
+                                        c10::Device device, Stages& stages, Report& report) {
+  const auto& landmarks = models.face.landmarks68;
+  std::vector<at::Tensor> motions;
+  if (is_silent(audio)) {
+    report.notices.push_back(options.blinks
+                                 ? "the audio is silent: the face rests, breathes and blinks"
+                                 : "the audio is silent: the face rests and breathes");
+    for (size_t k = 0; k < seeds.size(); ++k) {
+      motions.push_back(rest_motion(landmarks, num_frames, options.fps));
+    }
+  } else {
+    motions = spoken_motion(models, audio, num_frames, seeds, options, precision, device, stages);
+  }
+  if (options.blinks) {
+    for (size_t k = 0; k < seeds.size(); ++k) {
+      add_blinks(motions[k], landmarks, options.fps, static_cast<uint64_t>(seeds[k]));
+    }
+  }
+  return motions;
+}
+
+}  // namespace freetalk::talker

@@ -1,0 +1,39 @@
+// Landmark motion of a clip.
+#pragma once
+
+#include <ATen/core/Tensor.h>
+#include <c10/core/Device.h>
+
+#include <cstdint>
+#include <vector>
+
+#include "freetalk/audio/audio.h"
+#include "freetalk/talker/models.h"
+#include "freetalk/talker/options.h"
+#include "stages.h"
+
+namespace freetalk::talker {
+
+/// The weights' own sampling options with those that were chosen in their place.
+ats::GenerateOptions sampling_options(const AnimateOptions& options, const std::string& precision,
+                                      ats::GenerateOptions own);
+
+/// The emotion over time. @throws std::invalid_argument for text that cannot be read, unknown
+/// emotions, intensities that the weights do not have.
+std::vector<ats::EmotionKey> emotion_keys(const std::string& emotion,
+                                          std::optional<double> intensity,
+                                          const ats::AtsOptions& own);
+
+/// Everything about a performance that can be wrong before the work begins.
+/// @throws std::invalid_argument as Face::animate_many.
+void check_performance(const audio::Audio& audio, const std::vector<int64_t>& seeds,
+                       const AnimateOptions& options, const std::string& precision,
+                       const TalkerModels& models);
+
+/// Motion of each seed, (T, 68, 3) float32 m at options.fps, on the CPU.
+std::vector<at::Tensor> landmark_motion(const TalkerModels& models, const audio::Audio& audio,
+                                        int64_t num_frames, const std::vector<int64_t>& seeds,
+                                        const AnimateOptions& options, const std::string& precision,
+                                        c10::Device device, Stages& stages, Report& report);
+
+}  // namespace freetalk::talker

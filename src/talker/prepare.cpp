@@ -1,0 +1,117 @@
+#include <ATen/ATen.h>
+#include <torch/torch.h>
+
+#include <Eigen/Geometry>
+
+#include <algorithm>
+#include <map>
+
+#include "face_state.h"
+#include "freetalk/core/error.h"
+#include "freetalk/geometry/operators.h"
+#include "stages.h"
+
+namespace freetalk::talker {
+namespace {
+
+Eigen::Vector3d axis(const std::string& name) {
+  Eigen::Vector3d direction = Eigen::Vector3d::Zero();
+  direction[name.at(1) - 'x'] = name.at(0) == '-' ? -1 : 1;
+  return direction;
+}
+
+animation::MeshFrame frame_of(const geometry::Alignment& alignment) {
+  animation::MeshFrame frame;
+  const Eigen::Vector3d up = axis(alignment.up), forward = axis(alignment.forward);
+  frame.to_y_up.row(0) = up.cross(forward);
+  frame.to_y_up.row(1) = up;
+  frame.to_y_up.row(2) = forward;
+  static const std::map<std::string, double> metres = {
+      {"m", 1.0}, {"cm", 0.01}, {"mm", 0.001}, {"in", 0.0254}};
+  const auto unit = metres.find(alignment.unit);
+  frame.metres_per_unit = unit == metres.end() ? alignment.to_canonical.scale : unit->second;
+  return frame;
+}
+
+/// Operators with exactly `k` eigenpairs: a mesh of fewer vertices is completed with empty ones.
+geometry::SurfaceOperators operators_of(const Eigen::MatrixXd& vertices,
+                                        const Eigen::MatrixXi& faces, int64_t k,
+                                        const std::optional<std::string>& cache_dir,
+                                        const std::string& name,
+                                        const std::function<void(double)>& progress) {
+  geometry::OperatorOptions options;
+  options.k_eig = std::min<int64_t>(k, vertices.rows());
+  constexpr int64_t kMaxCacheBytes = int64_t{4} << 30;
+  auto operators = cache_dir
+                       ? geometry::cached_surface_operators(vertices, faces, options,
+                                                            *cache_dir == "auto" ? "" : *cache_dir,
+                                                            name, kMaxCacheBytes, progress)
+                       : geometry::surface_operators(vertices, faces, options, name, progress);
+  const int64_t missing = k - options.k_eig;
+  if (missing > 0) {
+    operators.evals = at::cat({operators.evals, operators.evals.slice(0, -1).expand({missing})});
+    operators.evecs = at::constant_pad_nd(operators.evecs, {0, missing});
+  }
+  return operators;
+}
+
+at::Tensor to_tensor(const Eigen::MatrixXd& matrix, const c10::Device& device) {
+  const Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> rows = matrix;
+  return at::from_blob(const_cast<double*>(rows.data()), {rows.rows(), rows.cols()}, at::kDouble)
+      .to(device, at::kFloat, /*non_blocking=*/false, /*copy=*/true);
+}
+
+}  // namespace
+
+std::shared_ptr<const Face::State> Face::State::prepare(std::shared_ptr<const TalkerModels> models,
+                                                        c10::Device device, const mesh::Mesh& mesh,
+                                                        const FaceOptions& options,
+                                                        const Progress& progress) {
+  const torch::NoGradGuard no_grad;
+  options.check();
+  const auto face =
+      std::make_shared<State>(State{models, device, mesh, options, {}, {}, {}, {}, {}, {}});
+  Report& report = face->report;
+  Stages stages(progress, report);
+
+  stages.begin("align");
+  report.alignment = geometry::align_to_template(mesh.vertices, mesh.faces, models->face.points,
+                                                 models->face.normals,
+                                                 {options.unit, options.up, options.forward});
+  if (!report.alignment.face_like) {
+    report.notices.push_back(
+        core::join(report.alignment.summary, ": give unit, up and forward if the guess is wrong"));
+  }
+  face->frame = frame_of(report.alignment);
+  const auto& pose = report.alignment.to_canonical;
+  face->rest = to_tensor(mesh.vertices, c10::kCPU);
+  face->to_mesh = to_tensor(pose.rotation / pose.scale, c10::kCPU);  // rows: d R / s
+
+  stages.begin("parts");
+  face->parts = std::make_unique<animation::Parts>(pose.apply(mesh.vertices), mesh.faces,
+                                                   models->face.landmarks68);
+  report.parts = face->parts->summary();
+
+  stages.begin("operators");
+  stm::Stm stm = models->stm;
+  const Eigen::MatrixXd& vertices = face->parts->face_vertices();
+  const auto operators =
+      operators_of(vertices / stm->options().length_scale, face->parts->face_faces(),
+                   stm->options().k_eig, options.cache_dir, mesh.name,
+                   [&](double share) { stages.at(share); })
+          .to(at::kFloat, device);
+
+  stages.begin("features");
+  const auto features = stm->encode(to_tensor(vertices, device), operators);
+  face->decoder = std::make_unique<const stm::FrameDecoder>(
+      stm.ptr(), features, operators,
+      stm::DecodeOptions{options.precision, options.memory_mb << 20});
+  stages.end();
+  return face;
+}
+
+at::Tensor Face::State::in_mesh(const at::Tensor& skin, const at::Tensor& landmarks) const {
+  return parts->move(skin, landmarks).matmul(to_mesh);
+}
+
+}  // namespace freetalk::talker

@@ -1,0 +1,86 @@
+#include "freetalk/ats/motion_stream.h"
+
+#include <gtest/gtest.h>
+#include <torch/torch.h>
+
+#include "freetalk/core/random.h"
+
+namespace freetalk::ats {
+namespace {
+
+constexpr int64_t kChannels = 5;
+
+Ats small_model() {
+  AtsOptions options;
+  options.d_model = 16;
+  options.num_layers = 2;
+  options.num_heads = 2;
+  options.ff_dim = 32;
+  options.audio_dim = kChannels;
+  options.max_frames = 40;
+  options.emotions = {"neutral", "happy"};
+  torch::manual_seed(0);
+  Ats model(options);
+  model->eval();
+  return model;
+}
+
+at::Tensor features_of(int64_t frames) {
+  return torch::randn({frames, kChannels}, core::make_generator(3));
+}
+
+std::vector<EmotionKey> happy() { return {{0.0, torch::tensor({0.0F, 1.0F}), 2.0}}; }
+
+TEST(MotionStream, AStreamOfOneWindowIsGenerate) {
+  Ats model = small_model();
+  MotionStreamOptions options;
+  options.window_frames = 40;
+  options.redo_frames = 0;
+  options.generate.mouth_temperature = 0.5;
+  MotionStream stream(model, happy(), 7, options);
+  const at::Tensor features = features_of(16);
+  const at::Tensor motion = stream.finish(features);
+  const at::Tensor whole =
+      generate(model, features, happy()[0].emotion, 2.0, options.generate, core::make_generator(7));
+  // Weights are laid out for another number of rows: other rounding.
+  EXPECT_TRUE(at::allclose(motion, whole, 1e-4, 1e-5));
+  EXPECT_TRUE(at::equal(stream.finish(features), motion));  // it started afresh
+}
+
+TEST(MotionStream, ShowsEveryFrameOnceAndKeepsTheLastBack) {
+  MotionStreamOptions options;
+  options.window_frames = 20;
+  MotionStream stream(small_model(), happy(), 7, options);
+  const at::Tensor features = features_of(61);
+  int64_t shown = 0, heard = 0;
+  for (const int64_t count : {1, 2, 0, 6, 30, 5}) {
+    const at::Tensor made = stream.push(features.narrow(0, heard, count));
+    shown += made.size(0);
+    heard += count;
+    EXPECT_EQ(shown, std::max<int64_t>(0, heard - options.redo_frames));
+    EXPECT_TRUE(made.isfinite().all().item<bool>());
+  }
+  EXPECT_EQ(stream.finish(features.narrow(0, heard, 61 - heard)).size(0), 61 - shown);
+}
+
+TEST(MotionStream, RejectsWhatItCannotDo) {
+  const auto rejected = [](auto change) {
+    MotionStreamOptions options;
+    options.window_frames = 20;
+    change(options);
+    EXPECT_THROW(MotionStream(small_model(), happy(), 0, options), std::invalid_argument);
+  };
+  rejected([](MotionStreamOptions& o) { o.generate.sampler = "ddpm"; });
+  rejected([](MotionStreamOptions& o) {
+    o.generate.sampler = "ddim";
+    o.generate.eta = 0.5;
+  });
+  rejected([](MotionStreamOptions& o) { o.window_frames = 41; });
+  rejected([](MotionStreamOptions& o) { o.redo_frames = 10; });
+  rejected([](MotionStreamOptions& o) { o.emotion_ramp_s = 0; });
+  MotionStream stream(small_model(), happy(), 0, {.window_frames = 20});
+  EXPECT_THROW(stream.push(torch::zeros({3, kChannels + 1})), std::invalid_argument);
+}
+
+}  // namespace
+}  // namespace freetalk::ats
