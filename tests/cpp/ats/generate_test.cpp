@@ -115,7 +115,7 @@ TEST(Generate, SameSeedSameMotionAnyLength) {
 }
 
 TEST(Generate, UsesNoPositionBeyondTheTrainedFrames) {
-  AtsOptions options = small_options();
+  AtsOptions options = sampling_options();
   options.trained_frames = 8;
   Ats model = make_model(options);
   const at::Tensor features = features_of(30), emotion = torch::eye(3)[1];

@@ -10,7 +10,7 @@ namespace {
 
 constexpr int64_t kChannels = 5;
 
-Ats small_model() {
+Ats stream_model() {
   AtsOptions options;
   options.d_model = 16;
   options.num_layers = 2;
@@ -25,20 +25,20 @@ Ats small_model() {
   return model;
 }
 
-at::Tensor features_of(int64_t frames) {
+at::Tensor stream_features(int64_t frames) {
   return torch::randn({frames, kChannels}, core::make_generator(3));
 }
 
 std::vector<EmotionKey> happy() { return {{0.0, torch::tensor({0.0F, 1.0F}), 2.0}}; }
 
 TEST(MotionStream, AStreamOfOneWindowIsGenerate) {
-  Ats model = small_model();
+  Ats model = stream_model();
   MotionStreamOptions options;
   options.window_frames = 40;
   options.redo_frames = 0;
   options.generate.mouth_temperature = 0.5;
   MotionStream stream(model, happy(), 7, options);
-  const at::Tensor features = features_of(16);
+  const at::Tensor features = stream_features(16);
   const at::Tensor motion = stream.finish(features);
   const at::Tensor whole =
       generate(model, features, happy()[0].emotion, 2.0, options.generate, core::make_generator(7));
@@ -50,8 +50,8 @@ TEST(MotionStream, AStreamOfOneWindowIsGenerate) {
 TEST(MotionStream, ShowsEveryFrameOnceAndKeepsTheLastBack) {
   MotionStreamOptions options;
   options.window_frames = 20;
-  MotionStream stream(small_model(), happy(), 7, options);
-  const at::Tensor features = features_of(61);
+  MotionStream stream(stream_model(), happy(), 7, options);
+  const at::Tensor features = stream_features(61);
   int64_t shown = 0, heard = 0;
   for (const int64_t count : {1, 2, 0, 6, 30, 5}) {
     const at::Tensor made = stream.push(features.narrow(0, heard, count));
@@ -68,7 +68,7 @@ TEST(MotionStream, RejectsWhatItCannotDo) {
     MotionStreamOptions options;
     options.window_frames = 20;
     change(options);
-    EXPECT_THROW(MotionStream(small_model(), happy(), 0, options), std::invalid_argument);
+    EXPECT_THROW(MotionStream(stream_model(), happy(), 0, options), std::invalid_argument);
   };
   rejected([](MotionStreamOptions& o) { o.generate.sampler = "ddpm"; });
   rejected([](MotionStreamOptions& o) {
@@ -78,7 +78,7 @@ TEST(MotionStream, RejectsWhatItCannotDo) {
   rejected([](MotionStreamOptions& o) { o.window_frames = 41; });
   rejected([](MotionStreamOptions& o) { o.redo_frames = 10; });
   rejected([](MotionStreamOptions& o) { o.emotion_ramp_s = 0; });
-  MotionStream stream(small_model(), happy(), 0, {.window_frames = 20});
+  MotionStream stream(stream_model(), happy(), 0, {.window_frames = 20});
   EXPECT_THROW(stream.push(torch::zeros({3, kChannels + 1})), std::invalid_argument);
 }
 
