@@ -24,8 +24,13 @@ Condition condition_for(int64_t batch, int64_t frames) {
   const auto generator = core::make_generator(1);
   at::Tensor emotion = torch::zeros({batch, 3});
   emotion.select(1, 1).fill_(1);
-  return {
-      torch::randn({batch, frames, 5}, generator), emotion, torch::full({batch}, 2.0), {}, {}, {}};
+  return {torch::randn({batch, frames, 5}, generator),
+          emotion,
+          torch::full({batch}, 2.0),
+          {},
+          {},
+          {},
+          {}};
 }
 
 at::Tensor random_motion(int64_t batch, int64_t frames) {

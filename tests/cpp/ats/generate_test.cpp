@@ -72,7 +72,8 @@ TEST(AtsInference, EqualsForward) {
       for (int64_t variant = 0; variant < 3; ++variant) {
         const int64_t key = variant == 0 ? 1 : 0;
         Condition condition{
-            audio, felt.emotion[key].expand({2, -1}), felt.intensity[key].expand({2}), {}, {}, {}};
+            audio, felt.emotion[key].expand({2, -1}), felt.intensity[key].expand({2}), {}, {}, {},
+            {}};
         const at::Tensor dropped = torch::ones({2}, at::kBool);
         if (variant == 1) condition.drop_audio = dropped;
         if (variant == 2) condition.drop_affect = dropped;
@@ -155,7 +156,8 @@ TEST(Generate, IsGuidedDiffusionOverTheModel) {
                             felt.intensity[key].unsqueeze(0),
                             {},
                             drop_audio ? dropped : at::Tensor(),
-                            drop_affect ? dropped : at::Tensor()};
+                            drop_affect ? dropped : at::Tensor(),
+                            {}};
         sum = sum + model(x, step, condition) * felt.weight.select(1, key).view({1, -1, 1});
       }
       return sum;
