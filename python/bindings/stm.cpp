@@ -33,7 +33,7 @@ void bind_stm(py::module_& m) {
                     const freetalk::geometry::SurfaceOperators&, const fs::DecodeOptions&>(),
            py::arg("model"), py::arg("mesh"), py::kw_only(), py::arg("operators"),
            py::arg("options") = fs::DecodeOptions{}, release)
-      .def("decode", py::overload_cast<const at::Tensor&>(&fs::FrameDecoder::decode),
+      .def("decode", py::overload_cast<const at::Tensor&>(&fs::FrameDecoder::decode, py::const_),
            py::arg("landmarks"), release, "(T, V, 3) displacements in metres.");
   freetalk::bindings::bind_options<fs::AdaptiveOptions>(m, "AdaptiveOptions",
                                                         "Tolerances of decode_adaptively.");
