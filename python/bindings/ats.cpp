@@ -1,5 +1,6 @@
 #include "freetalk/ats/ats.h"
 
+#include <pybind11/functional.h>
 #include <torch/extension.h>
 
 #include "bind_module.h"

@@ -36,15 +36,77 @@ void bind_surface(py::module_& m) {
       "(V, V) cotangent Laplacian as a scipy sparse matrix, positive semi-definite.");
 }
 
+std::pair<at::ScalarType, c10::Device> dtype_and_device(const py::object& dtype,
+                                                        const py::object& device) {
+  return {torch::python::detail::py_object_to_dtype(dtype),
+          torch::python::detail::py_object_to_device(
+              py::module_::import("torch").attr("device")(device))};
+}
+
+py::tuple tensors_of(const geometry::SparseOperator& a) {
+  return py::make_tuple(a.rows, a.columns, a.values, a.transposed_rows, a.transposed_columns,
+                        a.transposed_values);
+}
+
+void bind_sparse_operator(py::module_& m) {
+  using geometry::SparseOperator;
+  py::class_<SparseOperator>(
+      m, "SparseOperator",
+      "A constant sparse matrix (R, V) and its transpose by compressed rows, for "
+      "sparse_product.\n\n"
+      "torch's own and scipy's matrices share its memory: ``matrix.to_sparse_csr()`` and\n"
+      "``scipy.sparse.csr_array((matrix.values, matrix.columns, matrix.rows), matrix.shape)``.")
+      .def(py::init([](const at::Tensor& matrix) {
+             const at::Tensor coo = matrix.to_sparse().coalesce(), places = coo.indices();
+             const at::Tensor rows = at::searchsorted(
+                 places[0].contiguous(), at::arange(matrix.size(0) + 1, places.options()));
+             return SparseOperator::from_rows(rows.to(at::kInt), places[1].to(at::kInt),
+                                              coo.values().clone(), matrix.size(1));
+           }),
+           py::arg("matrix"), "Of a matrix (R, V), dense or of any of torch's sparse layouts.")
+      .def_readonly("rows", &SparseOperator::rows,
+                    "(R + 1,) first entry of each row, and the end; int32 or int64.")
+      .def_readonly("columns", &SparseOperator::columns, "(N,).")
+      .def_readonly("values", &SparseOperator::values, "(N,).")
+      .def_property_readonly("shape",
+                             [](const SparseOperator& self) {
+                               return std::make_pair(self.num_rows(), self.num_columns());
+                             })
+      .def("transposed", &SparseOperator::transposed, "(V, R), nothing copied.")
+      .def("tensors", &tensors_of,
+           "(rows, columns, values) of the matrix, then of its transpose: what the operation\n"
+           "torch.ops.freetalk.sparse_product takes before x, under torch.compile for instance.")
+      .def("to_sparse_csr", &SparseOperator::to_sparse_csr,
+           "torch's sparse CSR tensor (R, V), nothing copied.")
+      .def(
+          "to_dense", [](const SparseOperator& self) { return self.to_sparse_csr().to_dense(); },
+          "(R, V).")
+      .def(
+          "to",
+          [](const SparseOperator& self, const py::object& dtype, const py::object& device) {
+            const auto [type, place] = dtype_and_device(dtype, device);
+            return self.to(type, place);
+          },
+          py::arg("dtype"), py::arg("device") = "cpu", "A copy with another dtype and device.")
+      .def("__repr__",
+           [](const SparseOperator& self) {
+             return "SparseOperator(shape=(" + std::to_string(self.num_rows()) + ", " +
+                    std::to_string(self.num_columns()) +
+                    "), entries=" + std::to_string(self.values.size(0)) + ")";
+           })
+      .def(py::pickle(&tensors_of, [](const py::tuple& state) {
+        const auto tensor = [&](size_t i) { return state[i].cast<at::Tensor>(); };
+        return SparseOperator{tensor(0), tensor(1), tensor(2), tensor(3), tensor(4), tensor(5)};
+      }));
+}
+
 void bind_face_operators(py::module_& m) {
   using geometry::FaceOperators;
   py::class_<FaceOperators>(m, "FaceOperators", "Gradients and Poisson solver on triangles.")
       .def_readonly("faces", &FaceOperators::faces, "(F, 3) int64.")
       .def_readonly("areas", &FaceOperators::areas, "(F,) length^2.")
       .def_readonly("gradients", &FaceOperators::gradients,
-                    "(2F, V) sparse CSR: X, then Y components in the faces' tangent frames.")
-      .def_readonly("gradients_transposed", &FaceOperators::gradients_transposed,
-                    "(V, 2F) sparse CSR.")
+                    "(2F, V): X, then Y components in the faces' tangent frames.")
       .def_readonly("frames", &FaceOperators::frames, "(F, 3, 3) rows X, Y, normal.")
       .def_readonly("components", &FaceOperators::components,
                     "(V,) int64, connected part of each vertex.");
@@ -90,9 +152,7 @@ void bind_operators(py::module_& m) {
       .def_readonly("evals", &SurfaceOperators::evals, "(K,) 1 / length^2, ascending.")
       .def_readonly("evecs", &SurfaceOperators::evecs, "(V, K) 1 / length, mass-orthonormal.")
       .def_readonly("gradients", &SurfaceOperators::gradients,
-                    "(2V, V) sparse CSR: X, then Y components in the tangent frames.")
-      .def_readonly("gradients_transposed", &SurfaceOperators::gradients_transposed,
-                    "(V, 2V) sparse CSR.")
+                    "(2V, V): X, then Y components in the tangent frames.")
       .def_readonly("normals", &SurfaceOperators::normals, "(V, 3).")
       .def_readonly("frames", &SurfaceOperators::frames, "(V, 3, 3) rows X, Y, normal.")
       .def_readonly("residuals", &SurfaceOperators::residuals, "(K,) relative eigen-residuals.")
@@ -107,9 +167,8 @@ void bind_operators(py::module_& m) {
       .def(
           "to",
           [](const SurfaceOperators& self, const py::object& dtype, const py::object& device) {
-            const auto scalar = torch::python::detail::py_object_to_dtype(dtype);
-            return self.to(scalar, torch::python::detail::py_object_to_device(
-                                       py::module_::import("torch").attr("device")(device)));
+            const auto [type, place] = dtype_and_device(dtype, device);
+            return self.to(type, place);
           },
           py::arg("dtype"), py::arg("device") = "cpu", "A copy with another dtype and device.")
       .def("__repr__", [](const SurfaceOperators& self) {
@@ -205,6 +264,7 @@ void bind_alignment(py::module_& m) {
 void bind_geometry(py::module_& m) {
   bind_surface(m);
   bind_robust_laplacian(m);
+  bind_sparse_operator(m);
   bind_face_operators(m);
   bind_operators(m);
   bind_eigenbasis(m);

@@ -4,7 +4,6 @@
 #include "freetalk/nn/diffusion_net.h"
 #include "freetalk/nn/embedding.h"
 #include "freetalk/nn/jacobian_field.h"
-#include "freetalk/nn/landmark_graph.h"
 #include "freetalk/nn/mlp.h"
 #include "freetalk/nn/poisson.h"
 #include "freetalk/nn/poisson_net.h"
@@ -44,15 +43,12 @@ void bind_nn(py::module_& m) {
   bind_surface_net<fn::VertexMlpImpl, fn::VertexMlpOptions>(m, "VertexMlp");
   bind_face_functions(m);
   m.def("sinusoidal_code", &fn::sinusoidal_code, py::arg("positions"), py::arg("dim"), Release());
-  m.def("sparse_product", &fn::sparse_product, py::arg("matrix"), py::arg("transposed"),
-        py::arg("x"), Release());
+  m.def("sparse_product", &fn::sparse_product, py::arg("matrix"), py::arg("x"), Release(),
+        "(B, R, C) products of a SparseOperator (R, V) with x (B, V, C); differentiable in x.");
   m.def(
       "band_mask",
       [](int64_t num_frames, int64_t radius) {
         return fn::band_mask(num_frames, radius, c10::kCPU);
       },
       py::arg("num_frames"), py::arg("radius"));
-  m.def("landmark_edges", &fn::landmark_edges);
-  m.def("landmark_mirror", &fn::landmark_mirror);
-  m.def("landmark_adjacency", &fn::landmark_adjacency);
 }

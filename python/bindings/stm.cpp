@@ -6,6 +6,7 @@
 #include "freetalk/stm/adaptive_decoder.h"
 #include "freetalk/stm/attention.h"
 #include "freetalk/stm/frame_decoder.h"
+#include "freetalk/stm/landmark_graph.h"
 
 namespace py = pybind11;
 namespace fs = freetalk::stm;
@@ -52,4 +53,7 @@ void bind_stm(py::module_& m) {
       },
       py::arg("decoder"), py::arg("landmarks"), py::kw_only(),
       py::arg("options") = fs::AdaptiveOptions{}, release);
+  m.def("landmark_edges", &fs::landmark_edges);
+  m.def("landmark_mirror", &fs::landmark_mirror);
+  m.def("landmark_adjacency", &fs::landmark_adjacency);
 }

@@ -89,9 +89,12 @@ class NativeModule(nn.Module):
     def _adopt(self) -> None:
         object.__setattr__(self, "_slots", [])
         for name, tensor in self._own.named_parameters():
-            requires_grad = tensor.requires_grad
-            tensor.__class__ = nn.Parameter
-            tensor.requires_grad_(requires_grad)
+            if type(tensor) is torch.Tensor:
+                requires_grad = tensor.requires_grad
+                tensor.__class__ = nn.Parameter
+                tensor.requires_grad_(requires_grad)
+            else:  # of a class that a dispatch mode made, such as a fake tensor: it stays so
+                tensor._is_param = True
             parent, leaf = self._container(name)
             parent.register_parameter(leaf, tensor)
             self._slots.append((name, parent, leaf, tensor))

@@ -24,6 +24,7 @@ EigenbasisOptions = _native.EigenbasisOptions
 FaceOperators = _native.FaceOperators
 OperatorOptions = _native.OperatorOptions
 Similarity = _native.Similarity
+SparseOperator = _native.SparseOperator
 SurfaceOperators = _native.SurfaceOperators
 
 __all__ = [
@@ -34,6 +35,7 @@ __all__ = [
     "FaceOperators",
     "OperatorOptions",
     "Similarity",
+    "SparseOperator",
     "SurfaceOperators",
     "align_to_template",
     "concatenate",

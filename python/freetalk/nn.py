@@ -1,4 +1,4 @@
-"""Layers that know no task: networks on surfaces, sparse products, the landmark graph."""
+"""Layers that know no task: networks on surfaces, sparse products."""
 
 from __future__ import annotations
 
@@ -16,9 +16,6 @@ JacobianFieldOptions = _native.nn.JacobianFieldOptions
 PoissonNetOptions = _native.nn.PoissonNetOptions
 VertexMlpOptions = _native.nn.VertexMlpOptions
 band_mask = _native.nn.band_mask
-landmark_adjacency = _native.nn.landmark_adjacency
-landmark_edges = _native.nn.landmark_edges
-landmark_mirror = _native.nn.landmark_mirror
 sinusoidal_code = _native.nn.sinusoidal_code
 sparse_product = _native.nn.sparse_product
 
@@ -191,9 +188,6 @@ __all__ = [
     "face_divergence",
     "face_gradients",
     "integrate_jacobians",
-    "landmark_adjacency",
-    "landmark_edges",
-    "landmark_mirror",
     "poisson_solve",
     "sinusoidal_code",
     "sparse_product",

@@ -13,6 +13,9 @@ FrameDecoder = _native.stm.FrameDecoder
 AdaptiveOptions = _native.stm.AdaptiveOptions
 AdaptiveReport = _native.stm.AdaptiveReport
 MeshFeatures = _native.stm.MeshFeatures
+landmark_adjacency = _native.stm.landmark_adjacency
+landmark_edges = _native.stm.landmark_edges
+landmark_mirror = _native.stm.landmark_mirror
 
 
 class Stm(NativeModule):
@@ -144,4 +147,7 @@ __all__ = [
     "Stm",
     "StmOptions",
     "decode_adaptively",
+    "landmark_adjacency",
+    "landmark_edges",
+    "landmark_mirror",
 ]

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from freetalk.nn import landmark_adjacency
+from freetalk.stm import landmark_adjacency
 
 
 class PlainAts(nn.Module):
@@ -94,7 +94,7 @@ class PlainBlock(nn.Module):
         batch, vertices, width = diffused.shape
         flat = diffused.float().permute(1, 0, 2).reshape(vertices, -1)
         with torch.autocast(x.device.type, enabled=False):
-            gradients = torch.sparse.mm(operators.gradients, flat)
+            gradients = torch.sparse.mm(operators.gradients.to_sparse_csr(), flat)
         gx, gy = gradients.view(2, vertices, batch, width).transpose(1, 2)
         re, im = self.gradient_features.A_re, self.gradient_features.A_im
         features = torch.tanh(gx * (re(gx) - im(gy)) + gy * (re(gy) + im(gx)))

@@ -80,7 +80,8 @@ freetalk_add_room(audio USES core LINKS PkgConfig::sndfile PkgConfig::samplerate
 freetalk_add_room(kernels USES core)
 freetalk_add_room(mesh USES core LINKS freetalk::openmesh HEADERS_OF ${json})
 freetalk_add_room(geometry USES core kernels mesh TORCH combine_fields operator_cache operators
-                  operators_batch poisson tensor_conversion LINKS Threads::Threads HEADERS_OF Spectra::Spectra ${json})
+                  operators_batch poisson sparse_operator tensor_conversion LINKS Threads::Threads
+                  HEADERS_OF Spectra::Spectra ${json})
 freetalk_add_room(nn USES core kernels mesh geometry TORCH ALL)
 freetalk_add_room(speech USES audio nn kernels core TORCH ALL HEADERS_OF ${json})
 freetalk_add_room(diffusion USES core TORCH ALL)

@@ -13,7 +13,6 @@
 #include "freetalk/core/safetensors.h"
 #include "freetalk/geometry/operators.h"
 #include "operators_faces.h"
-#include "tensor_conversion.h"
 
 namespace freetalk::geometry {
 namespace {
@@ -55,9 +54,9 @@ core::TensorMap tensors_of(const SurfaceOperators& operators) {
           {"normals", operators.normals},
           {"frames", operators.frames},
           {"residuals", operators.residuals},
-          {"gradients.crow", operators.gradients.crow_indices()},
-          {"gradients.col", operators.gradients.col_indices()},
-          {"gradients.values", operators.gradients.values()}};
+          {"gradients.crow", operators.gradients.rows},
+          {"gradients.col", operators.gradients.columns},
+          {"gradients.values", operators.gradients.values}};
 }
 
 int64_t num_bytes(const core::TensorMap& tensors) {
@@ -84,10 +83,9 @@ std::optional<SurfaceOperators> load_entry(const fs::path& file, int64_t num_ver
     operators.normals = tensors.at("normals");
     operators.frames = tensors.at("frames");
     operators.residuals = tensors.at("residuals");
-    const at::Tensor values = tensors.at("gradients.values");
-    operators.gradients = make_csr_tensor(tensors.at("gradients.crow"), tensors.at("gradients.col"),
-                                          values, {2 * num_vertices, num_vertices});
-    operators.gradients_transposed = transpose_csr(operators.gradients);
+    operators.gradients = SparseOperator::from_rows(
+        tensors.at("gradients.crow").to(at::kInt),  // older files: int64
+        tensors.at("gradients.col").to(at::kInt), tensors.at("gradients.values"), num_vertices);
     FREETALK_RUNTIME_CHECK(operators.num_vertices() == num_vertices && operators.k_eig() == k,
                            "it is of another mesh");
     fs::last_write_time(file, fs::file_time_type::clock::now(), error);  // Used last now.

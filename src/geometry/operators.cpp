@@ -103,8 +103,7 @@ SurfaceOperators expanded(const mesh::WeldedSurface& surface, const Eigen::Vecto
   operators.residuals = to_tensor(basis.residuals).squeeze(1);
   operators.normals = to_tensor(at_every_vertex(normals, vertex_of));
   operators.frames = to_tensor(at_every_vertex(frames, vertex_of)).view({vertex_of.size(), 3, 3});
-  operators.gradients = to_csr_tensor(gradient);
-  operators.gradients_transposed = to_csr_tensor(gradient.transpose());
+  operators.gradients = to_sparse_operator(gradient);
   return operators;
 }
 
@@ -128,9 +127,7 @@ SurfaceOperators SurfaceOperators::scaled(double factor) const {
   result.mass = mass * (factor * factor);
   result.evals = evals / (factor * factor);
   result.evecs = evecs / factor;
-  result.gradients = csr_with_values(gradients, gradients.values() / factor);
-  result.gradients_transposed =
-      csr_with_values(gradients_transposed, gradients_transposed.values() / factor);
+  result.gradients = gradients.scaled(1.0 / factor);
   if (on_faces) {
     result.on_faces =
         core::defer([faces = on_faces, factor] { return faces->get().scaled(factor); });
@@ -140,23 +137,12 @@ SurfaceOperators SurfaceOperators::scaled(double factor) const {
 
 SurfaceOperators SurfaceOperators::to(at::ScalarType dtype, const c10::Device& device) const {
   const auto dense = [&](const at::Tensor& t) { return t.to(device, dtype); };
-  const auto sparse = [&](const at::Tensor& t) {
-    return make_csr_tensor(t.crow_indices().to(device), t.col_indices().to(device),
-                           t.values().to(device, dtype), t.sizes());
-  };
   std::shared_ptr<const core::Deferred<FaceOperators>> faces;
   if (on_faces) {
     faces = core::defer([from = on_faces, dtype, device] { return from->get().to(dtype, device); });
   }
-  return {dense(mass),
-          dense(evals),
-          dense(evecs),
-          sparse(gradients),
-          sparse(gradients_transposed),
-          dense(normals),
-          dense(frames),
-          dense(residuals),
-          faces,
+  return {dense(mass),    dense(evals),  dense(evecs),     gradients.to(dtype, device),
+          dense(normals), dense(frames), dense(residuals), faces,
           offsets};
 }
 

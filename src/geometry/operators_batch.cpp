@@ -41,7 +41,8 @@ SurfaceOperators SurfaceOperators::turned(const at::Tensor& rotation) const {
 
 SurfaceOperators concatenate(const std::vector<SurfaceOperators>& parts) {
   FREETALK_CHECK(!parts.empty(), "concatenate: expected operators of at least one mesh");
-  std::vector<at::Tensor> mass, evals, evecs, gradients, normals, frames, residuals;
+  std::vector<at::Tensor> mass, evals, evecs, normals, frames, residuals;
+  std::vector<SparseOperator> gradients;
   std::vector<std::shared_ptr<const core::Deferred<FaceOperators>>> faces;
   SurfaceOperators result;
   result.offsets = {0};
@@ -66,7 +67,6 @@ SurfaceOperators concatenate(const std::vector<SurfaceOperators>& parts) {
   result.frames = at::cat(frames);
   result.residuals = at::stack(residuals);
   result.gradients = concatenate_gradients(gradients);
-  result.gradients_transposed = transposed_like(result.gradients);
   if (std::find(faces.begin(), faces.end(), nullptr) == faces.end()) {
     result.on_faces = core::defer([faces] {
       std::vector<const FaceOperators*> each;

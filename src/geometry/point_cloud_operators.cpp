@@ -37,8 +37,7 @@ SurfaceOperators point_cloud_operators(const Eigen::MatrixXd& points,
   operators.residuals = to_tensor(basis.residuals).squeeze(1);
   operators.normals = to_tensor(cloud.normals);
   operators.frames = to_tensor(frames).view({points.rows(), 3, 3});
-  operators.gradients = to_csr_tensor(gradient);
-  operators.gradients_transposed = to_csr_tensor(gradient.transpose());
+  operators.gradients = to_sparse_operator(gradient);
   return operators;
 }
 

@@ -56,15 +56,6 @@ SparseMatrix mean_of_welded(const Eigen::VectorXi& vertex_of) {
 
 }  // namespace
 
-at::Tensor transposed_like(const at::Tensor& csr) {
-  const at::Tensor transposed =
-      transpose_csr(make_csr_tensor(csr.crow_indices().to(at::kCPU), csr.col_indices().to(at::kCPU),
-                                    csr.values().to(at::kCPU, at::kDouble), csr.sizes()));
-  return make_csr_tensor(transposed.crow_indices().to(csr.device()),
-                         transposed.col_indices().to(csr.device()),
-                         transposed.values().to(csr.values().options()), transposed.sizes());
-}
-
 at::Tensor PoissonSolver::solve(const at::Tensor& rhs, double regularization) const {
   FREETALK_CHECK(rhs.dim() == 2 && rhs.size(0) == num_vertices() &&
                      rhs.scalar_type() == at::kDouble && rhs.is_cpu(),
@@ -91,9 +82,7 @@ at::Tensor PoissonSolver::solve(const at::Tensor& rhs, double regularization) co
 FaceOperators FaceOperators::scaled(double factor) const {
   FaceOperators result = *this;  // the Laplacian does not depend on the scale
   result.areas = areas * (factor * factor);
-  result.gradients = csr_with_values(gradients, gradients.values() / factor);
-  result.gradients_transposed =
-      csr_with_values(gradients_transposed, gradients_transposed.values() / factor);
+  result.gradients = gradients.scaled(1.0 / factor);
   return result;
 }
 
@@ -104,15 +93,10 @@ FaceOperators FaceOperators::turned(const at::Tensor& rotation) const {
 }
 
 FaceOperators FaceOperators::to(at::ScalarType dtype, const c10::Device& device) const {
-  const auto sparse = [&](const at::Tensor& t) {
-    return make_csr_tensor(t.crow_indices().to(device), t.col_indices().to(device),
-                           t.values().to(device, dtype), t.sizes());
-  };
   FaceOperators result = *this;
   result.faces = faces.to(device);
   result.areas = areas.to(device, dtype);
-  result.gradients = sparse(gradients);
-  result.gradients_transposed = sparse(gradients_transposed);
+  result.gradients = gradients.to(dtype, device);
   result.frames = frames.to(device, dtype);
   result.components = components.to(device);
   return result;
@@ -152,29 +136,30 @@ FaceOperators face_operators(const Eigen::MatrixXd& vertices, const Eigen::Matri
   const RowSparseMatrix transposed = gradient.transpose();
   const Eigen::VectorXd weights = areas.replicate(2, 1);
   FaceOperators result;
-  result.gradients = to_csr_tensor(gradient);
-  result.gradients_transposed = to_csr_tensor(transposed);
+  result.gradients = to_sparse_operator(gradient);
   result.areas = to_tensor(areas).squeeze(1);
   result.frames = to_tensor(frames).view({count, 3, 3});
   result.faces = to_tensor(faces.cast<double>()).to(at::kLong);
   result.components = to_tensor(components.cast<double>()).squeeze(1).to(at::kLong);
+  result.num_components = components.maxCoeff() + 1;
   result.solvers = {std::make_shared<const PoissonSolver>(
       SparseMatrix(transposed * weights.asDiagonal() * gradient))};
   return result;
 }
 
 FaceOperators concatenate(const std::vector<const FaceOperators*>& parts) {
-  std::vector<at::Tensor> faces, areas, gradients, frames, components;
+  std::vector<at::Tensor> faces, areas, frames, components;
+  std::vector<SparseOperator> gradients;
   FaceOperators result;
-  int64_t first_vertex = 0, first_component = 0;
+  int64_t first_vertex = 0;
   for (const FaceOperators* part : parts) {
     faces.push_back(part->faces + first_vertex);
-    components.push_back(part->components + first_component);
+    components.push_back(part->components + result.num_components);
     areas.push_back(part->areas);
     gradients.push_back(part->gradients);
     frames.push_back(part->frames);
     first_vertex += part->components.size(0);
-    first_component += part->components.max().item<int64_t>() + 1;
+    result.num_components += part->num_components;
     result.solvers.insert(result.solvers.end(), part->solvers.begin(), part->solvers.end());
   }
   result.faces = at::cat(faces);
@@ -182,7 +167,6 @@ FaceOperators concatenate(const std::vector<const FaceOperators*>& parts) {
   result.frames = at::cat(frames);
   result.components = at::cat(components);
   result.gradients = concatenate_gradients(gradients);
-  result.gradients_transposed = transposed_like(result.gradients);
   return result;
 }
 
@@ -196,31 +180,6 @@ at::Tensor unique_edges(const at::Tensor& faces) {
   const at::Tensor keys =
       std::get<0>(at::_unique((low * bound + high).masked_select(real), /*sorted=*/true));
   return at::stack({keys.floor_divide(bound), keys.remainder(bound)}, 1);
-}
-
-at::Tensor concatenate_gradients(const std::vector<at::Tensor>& parts) {
-  std::vector<at::Tensor> counts, columns, values;
-  int64_t rows = 0, cols = 0;
-  for (const at::Tensor& part : parts) {
-    rows += part.size(0);
-    cols += part.size(1);
-  }
-  for (int64_t half = 0; half < 2; ++half) {
-    int64_t first_vertex = 0;
-    for (const at::Tensor& part : parts) {
-      const int64_t size = part.size(0) / 2;
-      const at::Tensor offsets = part.crow_indices();
-      const int64_t begin = offsets[half * size].item<int64_t>(),
-                    end = offsets[(half + 1) * size].item<int64_t>();
-      counts.push_back(offsets.narrow(0, half * size, size + 1).diff());
-      columns.push_back(part.col_indices().narrow(0, begin, end - begin) + first_vertex);
-      values.push_back(part.values().narrow(0, begin, end - begin));
-      first_vertex += part.size(1);
-    }
-  }
-  const at::Tensor total = at::cat(counts).cumsum(0);
-  return make_csr_tensor(at::cat({at::zeros({1}, total.options()), total}), at::cat(columns),
-                         at::cat(values), {rows, cols});
 }
 
 }  // namespace freetalk::geometry

@@ -2,6 +2,7 @@
 
 #include <torch/torch.h>
 
+#include "core/autocast.h"
 #include "freetalk/core/error.h"
 #include "freetalk/nn/poisson.h"
 #include "freetalk/nn/sparse.h"
@@ -13,12 +14,29 @@ namespace {
 
 constexpr double kMinDiffusionTime = 1e-8;  // as in the public package, at every forward
 
-/// Phi exp(-lambda t) Phi^T M x on one mesh. @param evals (K,).
+/// max(t, least) with the gradient of the public package, which clamps the parameter itself at
+/// every forward: that at the clamped value, whole. What is below zero, where the parameter would
+/// not have stayed there, takes only gradients that raise it.
+class ClampedTime : public torch::autograd::Function<ClampedTime> {
+ public:
+  static at::Tensor forward(torch::autograd::AutogradContext* context, const at::Tensor& time) {
+    context->save_for_backward({time});
+    return time.clamp_min(kMinDiffusionTime);
+  }
+  static torch::autograd::tensor_list backward(torch::autograd::AutogradContext* context,
+                                               torch::autograd::tensor_list gradients) {
+    const at::Tensor below = context->get_saved_variables()[0] < 0;
+    return {at::where(below, gradients[0].clamp_max(0), gradients[0])};
+  }
+};
+
+/// Phi exp(-lambda t) Phi^T M x on one mesh, never under autocast. @param evals (K,).
 at::Tensor spectral_diffusion(const at::Tensor& x, const at::Tensor& time, const at::Tensor& mass,
                               const at::Tensor& evals, const at::Tensor& evecs) {
-  const at::Tensor weighted_basis = (evecs * mass.unsqueeze(1)).t();          // (K, V): Phi^T M
-  const at::Tensor spectrum = weighted_basis.matmul(x);                       // (B, K, C)
-  const at::Tensor decay = at::exp(-evals.unsqueeze(1) * time.unsqueeze(0));  // (K, C)
+  const core::NoAutocastScope no_autocast;
+  const at::Tensor weighted_basis = (evecs * mass.unsqueeze(1)).t();             // (K, V): Phi^T M
+  const at::Tensor spectrum = weighted_basis.matmul(x.to(evecs.scalar_type()));  // (B, K, C)
+  const at::Tensor decay = at::exp(-evals.unsqueeze(1) * time.unsqueeze(0));     // (K, C)
   return evecs.matmul(spectrum * decay);
 }
 
@@ -45,25 +63,21 @@ LearnedDiffusionImpl::LearnedDiffusionImpl(int64_t channels, bool spectral) : sp
   diffusion_time_ = register_parameter("diffusion_time", torch::zeros({channels}));
 }
 
-at::Tensor LearnedDiffusionImpl::time() {
-  const torch::NoGradGuard no_grad;
-  diffusion_time_.clamp_(kMinDiffusionTime);
-  return diffusion_time_;
-}
+at::Tensor LearnedDiffusionImpl::time() { return ClampedTime::apply(diffusion_time_); }
 
 at::Tensor LearnedDiffusionImpl::forward(const at::Tensor& x,
                                          const geometry::SurfaceOperators& operators) {
-  time();
-  if (!spectral_) return implicit_diffusion(x, diffusion_time_, operators);
+  const at::Tensor clamped = time();
+  if (!spectral_) return implicit_diffusion(x, clamped, operators);
   if (operators.offsets.empty()) {
-    return spectral_diffusion(x, diffusion_time_, operators.mass, operators.evals, operators.evecs);
+    return spectral_diffusion(x, clamped, operators.mass, operators.evals, operators.evecs);
   }
   std::vector<at::Tensor> parts;
   for (int64_t mesh = 0; mesh < operators.num_meshes(); ++mesh) {
     const int64_t first = operators.offsets[static_cast<size_t>(mesh)],
                   count = operators.offsets[static_cast<size_t>(mesh) + 1] - first;
     parts.push_back(spectral_diffusion(
-        x.narrow(1, first, count), diffusion_time_, operators.mass.narrow(0, first, count),
+        x.narrow(1, first, count), clamped, operators.mass.narrow(0, first, count),
         operators.evals[mesh], operators.evecs.narrow(0, first, count)));
   }
   return at::cat(parts, 1);
@@ -112,8 +126,7 @@ at::Tensor DiffusionNetBlockImpl::forward(const at::Tensor& x,
   const at::Tensor diffused = diffusion(x, operators);
   std::vector<at::Tensor> inputs{x, diffused};
   if (gradient_features) {
-    inputs.push_back(gradient_features(
-        sparse_product(operators.gradients, operators.gradients_transposed, diffused)));
+    inputs.push_back(gradient_features(sparse_product(operators.gradients, diffused)));
   }
   at::Tensor y = mlp[0](at::cat(inputs, -1));
   for (size_t layer = 1; layer < mlp.size(); ++layer) {
@@ -134,7 +147,7 @@ DiffusionNetImpl::DiffusionNetImpl(const DiffusionNetOptions& options) : options
 
 at::Tensor DiffusionNetImpl::forward_hidden(const at::Tensor& hidden,
                                             const geometry::SurfaceOperators& operators) {
-  at::Tensor x = hidden;
+  at::Tensor x = hidden.to(operators.mass.scalar_type());  // what blocks add to stays so: autocast
   for (DiffusionNetBlock& block : blocks_) x = block(x, operators);
   x = last_lin(x);
   if (options_.outputs_at == "edges") {

@@ -13,9 +13,16 @@
 #include <memory>
 
 #include "freetalk/nn/diffusion_net.h"
-#include "freetalk/nn/frame_inputs.h"
 
 namespace freetalk::nn {
+
+/// The network's input after its first linear layer, frame by frame:
+///   hidden_t = base + offset_t + sum_h softmax(q_h k_th^T) v_th.
+struct FrameInputs {
+  at::Tensor offsets;  // (T, C), undefined for none
+  at::Tensor keys;     // (T, H, N, d) already divided by sqrt(d); undefined without attention
+  at::Tensor values;   // (T, H, N, C)
+};
 
 class FusedDiffusion {
  public:

@@ -87,8 +87,7 @@ class ImplicitDiffusion : public torch::autograd::Function<ImplicitDiffusion> {
   static at::Tensor forward(torch::autograd::AutogradContext* context,
                             const c10::intrusive_ptr<System>& system, const at::Tensor& x,
                             const at::Tensor& time) {
-    // A copy: later forward passes clamp the parameter in place.
-    const at::Tensor times = time.to(at::kCPU, at::kDouble, /*non_blocking=*/false, /*copy=*/true);
+    const at::Tensor times = time.to(at::kCPU, at::kDouble);
     const at::Tensor u = system->solve(channels_first(x) * system->mass_column(), times);
     context->saved_data["system"] = c10::IValue::make_capsule(system);
     context->save_for_backward({u, times});
@@ -117,7 +116,8 @@ at::Tensor implicit_diffusion(const at::Tensor& x, const at::Tensor& time,
                      time.size(0) == x.size(2),
                  "implicit_diffusion: expected x (B, ", operators.num_vertices(),
                  ", C) and time (C,), found ", x.sizes(), " and ", time.sizes());
-  return ImplicitDiffusion::apply(c10::make_intrusive<System>(operators), x, time);
+  return ImplicitDiffusion::apply(c10::make_intrusive<System>(operators),
+                                  x.to(operators.mass.scalar_type()), time);
 }
 
 }  // namespace freetalk::nn

@@ -2,6 +2,7 @@
 
 #include <torch/torch.h>
 
+#include "core/autocast.h"
 #include "freetalk/core/error.h"
 #include "freetalk/nn/poisson.h"
 
@@ -22,10 +23,6 @@ at::Tensor mean_of_parts(const at::Tensor& x, const at::Tensor& weights, const a
   const at::Tensor w = weights.to(x.scalar_type()).view({1, -1, 1});
   const at::Tensor total = sum_of_parts(w, part, parts);
   return sum_of_parts(x * w, part, parts) / total.masked_fill(total == 0, 1);
-}
-
-int64_t num_parts(const geometry::FaceOperators& faces) {
-  return faces.components.max().item<int64_t>() + 1;
 }
 
 }  // namespace
@@ -62,7 +59,7 @@ at::Tensor JacobianFieldImpl::forward_hidden(const at::Tensor& hidden,
   if (!options_.translation) return map;
   const at::Tensor part_of_face = faces.components.index_select(0, faces.faces.select(1, 0));
   const at::Tensor shift =
-      mean_of_parts(outputs.narrow(2, 9, 3), faces.areas, part_of_face, num_parts(faces));
+      mean_of_parts(outputs.narrow(2, 9, 3), faces.areas, part_of_face, faces.num_components);
   return map + shift.index_select(1, faces.components);
 }
 
@@ -71,6 +68,7 @@ at::Tensor integrate_jacobians(const geometry::FaceOperators& faces, const at::T
   FREETALK_CHECK(jacobians.dim() == 4 && jacobians.size(1) == count && jacobians.size(2) == 3 &&
                      jacobians.size(3) == 3,
                  "integrate_jacobians: expected (B, ", count, ", 3, 3), found ", jacobians.sizes());
+  const core::NoAutocastScope no_autocast;
   const at::Tensor tangents =
       faces.frames.narrow(1, 0, 2).to(jacobians.scalar_type());  // (F, 2, 3)
   const at::Tensor restricted =
@@ -78,7 +76,7 @@ at::Tensor integrate_jacobians(const geometry::FaceOperators& faces, const at::T
   const at::Tensor rhs = face_divergence(faces, restricted.reshape({jacobians.size(0), -1, 3}));
   const at::Tensor map = poisson_solve(faces, rhs, kRegularization);
   const at::Tensor mean =
-      mean_of_parts(map, at::ones_like(faces.components), faces.components, num_parts(faces));
+      mean_of_parts(map, at::ones_like(faces.components), faces.components, faces.num_components);
   return map - mean.index_select(1, faces.components);
 }
 

@@ -36,9 +36,9 @@ MeshRows::MeshRows(const geometry::SurfaceOperators& operators) {
   order = at::empty({vertices}, at::kLong);
   std::copy(from.begin(), from.end(), order.data_ptr<int64_t>());
 
-  const at::Tensor rows = operators.gradients.crow_indices().to(at::kLong).contiguous();
-  const at::Tensor columns = operators.gradients.col_indices().to(at::kLong).contiguous();
-  const at::Tensor values = operators.gradients.values().to(at::kFloat).contiguous();
+  const at::Tensor rows = operators.gradients.rows.to(at::kLong).contiguous();
+  const at::Tensor columns = operators.gradients.columns.to(at::kLong).contiguous();
+  const at::Tensor values = operators.gradients.values.to(at::kFloat).contiguous();
   const auto* row = rows.const_data_ptr<int64_t>();
   const auto* column = columns.const_data_ptr<int64_t>();
   const auto* value = values.const_data_ptr<float>();

@@ -59,12 +59,12 @@ class PoissonSolve : public torch::autograd::Function<PoissonSolve> {
 }  // namespace
 
 at::Tensor face_gradients(const geometry::FaceOperators& faces, const at::Tensor& x) {
-  return sparse_product(faces.gradients, faces.gradients_transposed, x);
+  return sparse_product(faces.gradients, x);
 }
 
 at::Tensor face_divergence(const geometry::FaceOperators& faces, const at::Tensor& g) {
   const at::Tensor areas = at::cat({faces.areas, faces.areas}).unsqueeze(1);  // (2F, 1)
-  return sparse_product(faces.gradients_transposed, faces.gradients, g * areas);
+  return sparse_product(faces.gradients.transposed(), g * areas);
 }
 
 at::Tensor poisson_solve(const geometry::FaceOperators& faces, const at::Tensor& rhs,

@@ -139,7 +139,7 @@ PoissonNetImpl::PoissonNetImpl(const PoissonNetOptions& options) : options_(opti
 
 at::Tensor PoissonNetImpl::forward_hidden(const at::Tensor& hidden,
                                           const geometry::SurfaceOperators& operators) {
-  at::Tensor x = hidden;
+  at::Tensor x = hidden.to(operators.mass.scalar_type());  // what blocks add to stays so: autocast
   for (PoissonBlock& block : blocks_) x = block(x, operators);
   return head_(x);
 }

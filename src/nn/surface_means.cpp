@@ -22,7 +22,7 @@ at::Tensor weighted_means(const at::Tensor& x, const geometry::SurfaceOperators&
 at::Tensor at_vertices(const at::Tensor& x, const geometry::SurfaceOperators& operators) {
   if (operators.offsets.empty()) return x;
   const at::Tensor ends = at::tensor(operators.offsets, at::kLong);
-  return x.repeat_interleave(ends.diff().to(x.device()), 1);
+  return x.repeat_interleave(ends.diff().to(x.device()), 1, operators.num_vertices());
 }
 
 }  // namespace freetalk::nn

@@ -1,50 +1,17 @@
 #include "pieces.h"
 
-#include <ATen/autocast_mode.h>
 #include <torch/torch.h>
 
 #include <algorithm>
 #include <cmath>
 
+#include "core/autocast.h"
 #include "freetalk/core/error.h"
 
 namespace freetalk::speech {
 namespace {
 
 const double kRate = static_cast<double>(kSampleRateHz);
-
-/// bfloat16 products on the device of `tensor` for a scope.
-class AutocastScope {
- public:
-  AutocastScope(const at::Device& device, bool on)
-      : type_(device.type()),
-        was_on_(at::autocast::is_autocast_enabled(type_)),
-        dtype_(at::autocast::get_autocast_dtype(type_)),
-        change_(on) {
-    if (change_) {
-      at::autocast::increment_nesting();
-      at::autocast::set_autocast_enabled(type_, true);
-      at::autocast::set_autocast_dtype(type_, at::kBFloat16);
-    }
-  }
-  ~AutocastScope() {
-    if (change_) {
-      if (at::autocast::decrement_nesting() == 0) {
-        at::autocast::clear_cache();
-      }
-      at::autocast::set_autocast_enabled(type_, was_on_);
-      at::autocast::set_autocast_dtype(type_, dtype_);
-    }
-  }
-  AutocastScope(const AutocastScope&) = delete;
-  AutocastScope& operator=(const AutocastScope&) = delete;
-
- private:
-  at::DeviceType type_;
-  bool was_on_;
-  at::ScalarType dtype_;
-  bool change_;
-};
 
 }  // namespace
 
@@ -228,7 +195,7 @@ at::Tensor PieceEncoder::encode_frames(const at::Tensor& wave, int64_t start, in
   const torch::NoGradGuard no_grad;
   const EvaluationScope evaluation(*encoder_);
   const auto parameter = encoder_->parameters().front();
-  const AutocastScope autocast(parameter.device(), options_.precision == "bfloat16");
+  const core::Bfloat16Scope bfloat16(parameter.device().type(), options_.precision == "bfloat16");
   const int64_t missing = std::max<int64_t>(0, encoder_->receptive_field() - wave.size(0));
   const auto piece = at::constant_pad_nd(wave, {0, missing});
   auto moments = statistics_.moments();

@@ -1,10 +1,14 @@
 #include "freetalk/stm/frame_decoder.h"
 
-#include <ATen/autocast_mode.h>
+#include <ATen/DeviceAccelerator.h>
+#include <c10/core/Event.h>
+#include <c10/core/impl/VirtualGuardImpl.h>
 #include <torch/torch.h>
 
 #include <algorithm>
+#include <optional>
 
+#include "core/autocast.h"
 #include "core/parallel.h"
 #include "freetalk/core/error.h"
 #include "freetalk/nn/diffusion_net.h"
@@ -13,31 +17,52 @@
 namespace freetalk::stm {
 namespace {
 
-constexpr int64_t kMaxChunk = 64;  // frames; more would not use the caches better
+constexpr int64_t kMaxChunk = 64;                   // frames; more would not use the caches better
+constexpr int64_t kEnoughOnGpu = int64_t{4} << 30;  // bytes; more does not make it faster
 
-/// bfloat16 autocast of a device while it lives.
-class Autocast {
+/// Working memory: what the options say; on a GPU up to half of what is free, where that is more.
+int64_t working_memory(const c10::Device& device, int64_t bytes) {
+  if (!device.is_cuda()) return bytes;
+  const auto free = at::getDeviceAllocator(device.type())->getMemoryInfo(device.index()).first;
+  return std::max(bytes, std::min(static_cast<int64_t>(free / 2), kEnoughOnGpu));
+}
+
+/// Hands parts on to the host, those of a GPU through pinned memory and one late: the next one is
+/// computed while the host waits for the copy and uses it.
+class ToHost {
  public:
-  explicit Autocast(c10::DeviceType device)
-      : device_(device),
-        enabled_(at::autocast::is_autocast_enabled(device)),
-        dtype_(at::autocast::get_autocast_dtype(device)) {
-    at::autocast::set_autocast_enabled(device, true);
-    at::autocast::set_autocast_dtype(device, at::kBFloat16);
-    at::autocast::increment_nesting();
+  using Sink = std::function<void(int64_t, const at::Tensor&)>;
+  explicit ToHost(const Sink& sink) : sink_(sink) {}
+
+  void push(int64_t first, const at::Tensor& part) {
+    if (!part.is_cuda()) {
+      sink_(first, part.to(at::kCPU));
+      return;
+    }
+    at::Tensor copy = at::empty(
+        part.sizes(), at::TensorOptions(at::kCPU).dtype(part.scalar_type()).pinned_memory(true));
+    copy.copy_(part, /*non_blocking=*/true);
+    c10::Event copied(part.device().type());
+    copied.record(c10::impl::VirtualGuardImpl(part.device().type()).getStream(part.device()));
+    finish();
+    pending_.emplace(Pending{first, copy, std::move(copied)});
   }
-  ~Autocast() {
-    if (at::autocast::decrement_nesting() == 0) at::autocast::clear_cache();
-    at::autocast::set_autocast_dtype(device_, dtype_);
-    at::autocast::set_autocast_enabled(device_, enabled_);
+
+  void finish() {
+    if (!pending_) return;
+    pending_->copied.synchronize();
+    sink_(pending_->first, pending_->copy);
+    pending_.reset();
   }
-  Autocast(const Autocast&) = delete;
-  Autocast& operator=(const Autocast&) = delete;
 
  private:
-  c10::DeviceType device_;
-  bool enabled_;
-  at::ScalarType dtype_;
+  struct Pending {
+    int64_t first;
+    at::Tensor copy;
+    c10::Event copied;
+  };
+  const Sink& sink_;
+  std::optional<Pending> pending_;
 };
 
 }  // namespace
@@ -65,7 +90,10 @@ FrameDecoder::~FrameDecoder() = default;
 
 FrameDecoder::Plan FrameDecoder::plan() const {
   const int64_t vertices = operators_.num_vertices();
-  if (!fused_) return {model_->frames_per_chunk(vertices, options_.memory_bytes), 1};
+  if (!fused_) {
+    const int64_t bytes = working_memory(mesh_.hidden.device(), options_.memory_bytes);
+    return {model_->frames_per_chunk(vertices, bytes), 1};
+  }
   const int64_t of_work = fused_->bytes_per_frame();
   const int64_t in_work =
       std::clamp<int64_t>(options_.memory_bytes / of_work, 1, core::num_threads());
@@ -78,49 +106,56 @@ FrameDecoder::Plan FrameDecoder::plan() const {
   return {std::clamp<int64_t>(left / of_frame / in_work * in_work, in_work, kMaxChunk), in_work};
 }
 
-nn::FrameInputs FrameDecoder::inputs_of(const at::Tensor& landmarks) const {
-  std::vector<nn::FrameInputs> frames(static_cast<size_t>(landmarks.size(0)));
+FrameInputs FrameDecoder::inputs_of(const at::Tensor& landmarks) const {
+  std::vector<FrameInputs> frames(static_cast<size_t>(landmarks.size(0)));
   core::parallel_for(0, landmarks.size(0), 1, [&](int64_t begin, int64_t end) {
     for (int64_t t = begin; t < end; ++t) {
       frames[static_cast<size_t>(t)] = model_->frame_inputs(landmarks.narrow(0, t, 1));
     }
   });
-  const auto join = [&frames](at::Tensor nn::FrameInputs::*field) {
+  const auto join = [&frames](at::Tensor FrameInputs::*field) {
     if (!(frames.front().*field).defined()) return at::Tensor();
     std::vector<at::Tensor> parts;
-    for (const nn::FrameInputs& frame : frames) parts.push_back(frame.*field);
+    for (const FrameInputs& frame : frames) parts.push_back(frame.*field);
     return at::cat(parts);
   };
-  return {join(&nn::FrameInputs::offsets), join(&nn::FrameInputs::keys),
-          join(&nn::FrameInputs::values)};
+  return {join(&FrameInputs::offsets), join(&FrameInputs::keys), join(&FrameInputs::values)};
 }
 
 at::Tensor FrameDecoder::decode_chunk(const at::Tensor& landmarks, int64_t in_work) const {
   if (fused_) {
-    return fused_->run(inputs_of(landmarks), landmarks.size(0), in_work)
+    const FrameInputs inputs = inputs_of(landmarks);
+    return fused_->run({inputs.offsets, inputs.keys, inputs.values}, landmarks.size(0), in_work)
         .mul_(model_->options().displacement_scale);
   }
   if (options_.precision == "bfloat16") {
-    const Autocast autocast(landmarks.device().type());
+    const core::Bfloat16Scope bfloat16(landmarks.device().type());
     return model_->decode(mesh_, operators_, landmarks).to(at::kFloat);
   }
   return model_->decode(mesh_, operators_, landmarks);
 }
 
-void FrameDecoder::decode(const at::Tensor& landmarks,
-                          const std::function<void(int64_t, const at::Tensor&)>& sink) const {
+void FrameDecoder::each_chunk(const at::Tensor& landmarks,
+                              const std::function<void(int64_t, const at::Tensor&)>& use) const {
   const torch::NoGradGuard no_grad;
   const auto [chunk, in_work] = plan();
   for (int64_t first = 0; first < landmarks.size(0); first += chunk) {
     const int64_t count = std::min(chunk, landmarks.size(0) - first);
-    sink(first, decode_chunk(landmarks.narrow(0, first, count), in_work));
+    use(first, decode_chunk(landmarks.narrow(0, first, count), in_work));
   }
+}
+
+void FrameDecoder::decode(const at::Tensor& landmarks,
+                          const std::function<void(int64_t, const at::Tensor&)>& sink) const {
+  ToHost host(sink);
+  each_chunk(landmarks, [&host](int64_t first, const at::Tensor& part) { host.push(first, part); });
+  host.finish();
 }
 
 at::Tensor FrameDecoder::decode(const at::Tensor& landmarks) const {
   at::Tensor result = at::empty({landmarks.size(0), operators_.num_vertices(), 3},
                                 landmarks.options().dtype(at::kFloat));
-  decode(landmarks, [&result](int64_t first, const at::Tensor& part) {
+  each_chunk(landmarks, [&result](int64_t first, const at::Tensor& part) {
     result.narrow(0, first, part.size(0)).copy_(part);
   });
   return result;

@@ -86,7 +86,7 @@ StmImpl::StmImpl(const StmOptions& options) : options_(options) {
       "encoder", make_net(options.extractor, kMeshDim, options.feature_dim, options.encoder_width,
                           options.encoder_blocks, options.dropout));
   if (options.uses_gcn()) {
-    gcn_ = register_module("gcn", nn::Gcn(3, options.gcn_hidden, options.gcn_layers));
+    gcn_ = register_module("gcn", Gcn(3, options.gcn_hidden, options.gcn_layers));
   }
   const int64_t d = options.attention_dim;
   int64_t decoder_channels = options.feature_dim + (options.uses_global_motion() ? kMotionDim : 0);
@@ -214,13 +214,13 @@ at::Tensor StmImpl::forward(const at::Tensor& positions,
   return decode(encode(positions, operators), operators, landmarks);
 }
 
-nn::FrameInputs StmImpl::frame_inputs(const at::Tensor& landmarks) {
+FrameInputs StmImpl::frame_inputs(const at::Tensor& landmarks) {
   check_landmarks(landmarks);
   const int64_t frames = landmarks.size(0), heads = options_.attention_heads;
   const int64_t size = options_.attention_dim / heads;
   const at::Tensor motion = landmarks / options_.displacement_scale;
   const auto parts = first_layer_parts();
-  nn::FrameInputs inputs;
+  FrameInputs inputs;
   if (options_.uses_global_motion()) inputs.offsets = at::linear(motion.flatten(1), parts[1]);
   if (options_.uses_attention()) {
     const at::Tensor features = landmark_features(motion);  // (T, 68, d)

@@ -133,7 +133,7 @@ class PlainDiffusionNet(nn.Module):
 def plain_mesh(operators: Any, dtype: torch.dtype = torch.float64) -> dict[str, Tensor]:
     """Native operators as the plain networks take them (gradients sparse, the rest dense)."""
     count = len(operators.mass)
-    gradients = operators.gradients.to_sparse_coo()
+    gradients = operators.gradients.to_sparse_csr().to_sparse_coo()
     rows, columns = gradients.indices()
     upper = rows < count
 

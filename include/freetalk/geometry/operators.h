@@ -14,6 +14,7 @@
 
 #include "freetalk/core/deferred.h"
 #include "freetalk/geometry/poisson.h"
+#include "freetalk/geometry/sparse_operator.h"
 
 namespace freetalk::geometry {
 
@@ -44,14 +45,13 @@ struct OperatorOptions {
 
 /// Operators of a surface; float64 on the CPU until `to` is called.
 struct SurfaceOperators {
-  at::Tensor mass;       ///< (V,) length^2
-  at::Tensor evals;      ///< (K,) 1 / length^2
-  at::Tensor evecs;      ///< (V, K) 1 / length, mass-orthonormal
-  at::Tensor gradients;  ///< (2V, V) sparse CSR, 1 / length: X components, then Y components
-  at::Tensor gradients_transposed;  ///< (V, 2V) sparse CSR
-  at::Tensor normals;               ///< (V, 3)
-  at::Tensor frames;                ///< (V, 3, 3) rows X, Y, normal
-  at::Tensor residuals;             ///< (K,) relative eigen-residuals
+  at::Tensor mass;           ///< (V,) length^2
+  at::Tensor evals;          ///< (K,) 1 / length^2
+  at::Tensor evecs;          ///< (V, K) 1 / length, mass-orthonormal
+  SparseOperator gradients;  ///< (2V, V) 1 / length: X components, then Y components
+  at::Tensor normals;        ///< (V, 3)
+  at::Tensor frames;         ///< (V, 3, 3) rows X, Y, normal
+  at::Tensor residuals;      ///< (K,) relative eigen-residuals
   /// What lives on the faces, computed when first asked for; null for point clouds. See faces().
   std::shared_ptr<const core::Deferred<FaceOperators>> on_faces;
   /// {0, V_0, V_0 + V_1, ...} of meshes laid one after the other (see concatenate); empty for one.

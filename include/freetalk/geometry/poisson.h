@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "freetalk/geometry/sparse_cholesky.h"
+#include "freetalk/geometry/sparse_operator.h"
 #include "freetalk/geometry/surface.h"
 
 namespace freetalk::geometry {
@@ -41,12 +42,12 @@ class PoissonSolver {
 
 /// What lives on the faces of one mesh, or of several laid one after the other.
 struct FaceOperators {
-  at::Tensor faces;                 ///< (F, 3) int64
-  at::Tensor areas;                 ///< (F,) length^2
-  at::Tensor gradients;             ///< (2F, V) sparse CSR, 1 / length: X components, then Y
-  at::Tensor gradients_transposed;  ///< (V, 2F) sparse CSR
-  at::Tensor frames;                ///< (F, 3, 3) rows X, Y, normal; zero for degenerate faces
-  at::Tensor components;            ///< (V,) int64, connected part of each vertex, from 0
+  at::Tensor faces;          ///< (F, 3) int64
+  at::Tensor areas;          ///< (F,) length^2
+  SparseOperator gradients;  ///< (2F, V) 1 / length: X components, then Y
+  at::Tensor frames;         ///< (F, 3, 3) rows X, Y, normal; zero for degenerate faces
+  at::Tensor components;     ///< (V,) int64, connected part of each vertex, from 0
+  int64_t num_components = 0;
   std::vector<std::shared_ptr<const PoissonSolver>> solvers;  ///< of each mesh
 
   /// Of the same surface scaled uniformly, turned by a rotation (3, 3), converted.
@@ -68,12 +69,5 @@ FaceOperators concatenate(const std::vector<const FaceOperators*>& parts);
 /// Unique undirected edges (i < j) in lexicographic order. @param faces (F, 3) int64.
 /// @returns (E, 2) int64 on the CPU.
 at::Tensor unique_edges(const at::Tensor& faces);
-
-/// Stacked gradients (2N, V) of several meshes as one sparse CSR matrix: X components of all
-/// meshes, then Y components of all. @param parts (2N_m, V_m) sparse CSR.
-at::Tensor concatenate_gradients(const std::vector<at::Tensor>& parts);
-
-/// The transpose of a sparse CSR matrix, of its dtype and on its device.
-at::Tensor transposed_like(const at::Tensor& csr);
 
 }  // namespace freetalk::geometry

@@ -51,7 +51,7 @@ class LearnedDiffusionImpl : public torch::nn::Module {
   explicit LearnedDiffusionImpl(int64_t channels, bool spectral = true);
   /// @param x (B, V, C). @returns (B, V, C).
   at::Tensor forward(const at::Tensor& x, const geometry::SurfaceOperators& operators);
-  /// (C,), clamped as every forward pass does.
+  /// (C,) as every forward pass takes it: at least 1e-8. The parameter stays as it is.
   at::Tensor time();
 
  private:

@@ -24,11 +24,12 @@ class FrameDecoder {
 
   /// Memory grows with the chunk, not with T.
   /// @param landmarks (T, 68, 3) displacements, metres.
-  /// @param sink called with (first frame, (t, V, 3) displacements in metres) in order.
+  /// @param sink called with (first frame, (t, V, 3) displacements in metres) in order, on the
+  ///   CPU; a GPU goes on with the next frames meanwhile.
   void decode(const at::Tensor& landmarks,
               const std::function<void(int64_t, const at::Tensor&)>& sink) const;
 
-  /// @returns (T, V, 3) displacements, metres.
+  /// @returns (T, V, 3) displacements, metres, where the landmarks are.
   at::Tensor decode(const at::Tensor& landmarks) const;
 
  private:
@@ -39,8 +40,10 @@ class FrameDecoder {
   };
   Plan plan() const;
   at::Tensor decode_chunk(const at::Tensor& landmarks, int64_t in_work) const;
+  void each_chunk(const at::Tensor& landmarks,
+                  const std::function<void(int64_t, const at::Tensor&)>& use) const;
   /// What the decoder takes in, each frame by itself: its bits do not depend on the others.
-  nn::FrameInputs inputs_of(const at::Tensor& landmarks) const;
+  FrameInputs inputs_of(const at::Tensor& landmarks) const;
 
   std::shared_ptr<StmImpl> model_;
   MeshFeatures mesh_;

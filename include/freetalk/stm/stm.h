@@ -22,9 +22,9 @@
 #include <string>
 
 #include "freetalk/geometry/operators.h"
-#include "freetalk/nn/frame_inputs.h"
-#include "freetalk/nn/landmark_graph.h"
 #include "freetalk/nn/surface_net.h"
+#include "freetalk/stm/frame_inputs.h"
+#include "freetalk/stm/landmark_graph.h"
 
 namespace freetalk::stm {
 
@@ -101,9 +101,8 @@ class StmImpl : public torch::nn::Module {
   /// Frames that decode() takes at once within `memory_bytes`, at least 1.
   int64_t frames_per_chunk(int64_t num_vertices, int64_t memory_bytes) const;
 
-  /// What the decoder takes in of each frame, its first layer applied: for FrameDecoder.
-  /// @param landmarks as in decode.
-  nn::FrameInputs frame_inputs(const at::Tensor& landmarks);
+  /// For FrameDecoder. @param landmarks as in decode.
+  FrameInputs frame_inputs(const at::Tensor& landmarks);
 
   const std::shared_ptr<nn::SurfaceNetImpl>& decoder() const { return decoder_; }
   const StmOptions& options() const { return options_; }
@@ -118,7 +117,7 @@ class StmImpl : public torch::nn::Module {
 
   StmOptions options_;
   std::shared_ptr<nn::SurfaceNetImpl> encoder_, decoder_;
-  nn::Gcn gcn_{nullptr};
+  Gcn gcn_{nullptr};
   torch::nn::Linear landmark_proj_{nullptr}, query_proj_{nullptr}, key_proj_{nullptr},
       value_proj_{nullptr};
   at::Tensor index_code_;  // (68, index_code_dim)
@@ -129,7 +128,9 @@ struct DecodeOptions {
   // "float32", or "bfloat16": products in bfloat16 with float32 sums, where the processor or GPU
   // multiplies it; elsewhere float32.
   std::string precision = "float32";
-  int64_t memory_bytes = int64_t{256} << 20;  // working memory; the least is that of one frame
+  // Working memory; the least is that of one frame. On a GPU half of what is free is taken where
+  // that is more, up to 4 GiB.
+  int64_t memory_bytes = int64_t{256} << 20;
   template <class V>
   void fields(V& v) {
     v("precision", precision);
@@ -140,7 +141,7 @@ struct DecodeOptions {
 
 /// Decodes any number of frames without gradients (see FrameDecoder for several sequences of one
 /// mesh): memory grows with the chunk, not with T.
-/// @param sink called with (first frame, (t, V, 3) displacements in metres) in order.
+/// @param sink called with (first frame, (t, V, 3) displacements in metres) in order, on the CPU.
 void decode_chunked(Stm& model, const MeshFeatures& mesh,
                     const geometry::SurfaceOperators& operators, const at::Tensor& landmarks,
                     const std::function<void(int64_t, const at::Tensor&)>& sink,

@@ -86,9 +86,9 @@ TEST(SurfaceOperators, FollowAUniformScale) {
   // The first eigenvalue is rounding around zero; 1e-6 of the next is its measure.
   EXPECT_TRUE(
       at::allclose(scaled.evals, direct.evals, 1e-8, 1e-6 * direct.evals[1].item<double>()));
-  EXPECT_TRUE(at::allclose(scaled.gradients.values(), direct.gradients.values(), 1e-8, 1e-6));
-  EXPECT_TRUE(
-      at::allclose(scaled.gradients.to_dense().t(), scaled.gradients_transposed.to_dense()));
+  EXPECT_TRUE(at::allclose(scaled.gradients.values, direct.gradients.values, 1e-8, 1e-6));
+  EXPECT_TRUE(at::allclose(scaled.gradients.to_sparse_csr().to_dense().t(),
+                           scaled.gradients.transposed().to_sparse_csr().to_dense()));
 }
 
 TEST(SurfaceOperators, AreFiniteOnNastyMeshes) {
@@ -110,7 +110,7 @@ TEST(SurfaceOperators, AreFiniteOnNastyMeshes) {
     const SurfaceOperators operators = surface_operators(shape.vertices, shape.faces, options);
     for (const at::Tensor& tensor :
          {operators.mass, operators.evals, operators.evecs, operators.normals, operators.frames,
-          operators.gradients.values()}) {
+          operators.gradients.values}) {
       EXPECT_TRUE(at::isfinite(tensor).all().item<bool>());
     }
     EXPECT_LE(operators.residuals.max().item<double>(), 1e-6);
@@ -143,8 +143,7 @@ TEST(SurfaceOperators, ConvertToFloat) {
   const SurfaceOperators operators =
       surface_operators(shape.vertices, shape.faces, options).to(at::kFloat);
   EXPECT_EQ(operators.evecs.scalar_type(), at::kFloat);
-  EXPECT_EQ(operators.gradients.values().scalar_type(), at::kFloat);
-  EXPECT_EQ(operators.gradients.layout(), at::kSparseCsr);
+  EXPECT_EQ(operators.gradients.values.scalar_type(), at::kFloat);
 }
 
 class OperatorCache : public ::testing::Test {
@@ -173,10 +172,9 @@ TEST_F(OperatorCache, GivesBackTheSameNumbers) {
   const SurfaceOperators second = get();
   EXPECT_EQ(entries().size(), 1u);
   EXPECT_TRUE(at::equal(first.evecs, second.evecs));
-  EXPECT_TRUE(at::equal(first.gradients.values(), second.gradients.values()));
-  EXPECT_TRUE(at::equal(first.gradients_transposed.values(), second.gradients_transposed.values()));
-  EXPECT_TRUE(at::equal(first.gradients_transposed.col_indices(),
-                        second.gradients_transposed.col_indices()));
+  EXPECT_TRUE(at::equal(first.gradients.values, second.gradients.values));
+  EXPECT_TRUE(at::equal(first.gradients.transposed_values, second.gradients.transposed_values));
+  EXPECT_TRUE(at::equal(first.gradients.transposed_columns, second.gradients.transposed_columns));
 }
 
 TEST_F(OperatorCache, KeysOnContentAndOptions) {

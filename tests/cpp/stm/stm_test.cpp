@@ -6,9 +6,11 @@
 #include <algorithm>
 #include <numeric>
 #include <random>
+#include <set>
 
 #include "freetalk/core/random.h"
 #include "freetalk/stm/frame_decoder.h"
+#include "freetalk/stm/landmark_graph.h"
 
 namespace freetalk::stm {
 namespace {
@@ -161,6 +163,18 @@ TEST(Stm, GradientsReachMeshAndLandmarkPaths) {
     }
   }
   EXPECT_GT(landmarks.grad().abs().max().item<float>(), 0.0F);
+}
+
+TEST(LandmarkGraph, IsSymmetricUnderMirrorAndConnected) {
+  std::set<std::pair<int64_t, int64_t>> edges(landmark_edges().begin(), landmark_edges().end());
+  for (const auto& [a, b] : edges) {
+    const int64_t ma = landmark_mirror()[static_cast<size_t>(a)],
+                  mb = landmark_mirror()[static_cast<size_t>(b)];
+    EXPECT_EQ(edges.count({std::min(ma, mb), std::max(ma, mb)}), 1U) << a << "-" << b;
+  }
+  at::Tensor reach = (landmark_adjacency() > 0).to(torch::kFloat);
+  for (int i = 0; i < 7; ++i) reach = reach.matmul(reach).clamp_max(1);
+  EXPECT_TRUE((reach > 0).all().item<bool>());
 }
 
 TEST(Stm, WrongInputsAreNamed) {

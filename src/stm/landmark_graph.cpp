@@ -1,4 +1,4 @@
-#include "freetalk/nn/landmark_graph.h"
+#include "freetalk/stm/landmark_graph.h"
 
 #include <torch/torch.h>
 
@@ -7,7 +7,7 @@
 
 #include "freetalk/core/error.h"
 
-namespace freetalk::nn {
+namespace freetalk::stm {
 namespace {
 
 using Edges = std::set<std::pair<int64_t, int64_t>>;
@@ -107,4 +107,4 @@ at::Tensor GcnImpl::forward(const at::Tensor& x) {
   return y;
 }
 
-}  // namespace freetalk::nn
+}  // namespace freetalk::stm

@@ -9,7 +9,7 @@
 #include <utility>
 #include <vector>
 
-namespace freetalk::nn {
+namespace freetalk::stm {
 
 /// Edges (i < j) of the landmark graph: the iBUG contours (jaw 0-16, brows 17-21 and 22-26, nose
 /// bridge 27-30 and base 31-35, eyes 36-41 and 42-47, outer lips 48-59, inner lips 60-67), with
@@ -37,4 +37,4 @@ class GcnImpl : public torch::nn::Module {
 };
 TORCH_MODULE(Gcn);
 
-}  // namespace freetalk::nn
+}  // namespace freetalk::stm
