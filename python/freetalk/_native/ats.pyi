@@ -131,7 +131,7 @@ def generate(
     weight: torch.Tensor | None = None,
     options: GenerateOptions = ...,
     seeds: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex],
-    on_step: ... | None = None,
+    on_step: collections.abc.Callable[[int, int], None] | None = None,
 ) -> torch.Tensor: ...
 def parse_emotion(text: str, emotions: collections.abc.Sequence[str]) -> torch.Tensor:
     """

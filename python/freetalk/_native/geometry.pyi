@@ -15,6 +15,7 @@ __all__: list[str] = [
     "FaceOperators",
     "OperatorOptions",
     "Similarity",
+    "SparseOperator",
     "SurfaceOperators",
     "align_to_template",
     "cached_surface_operators",
@@ -29,6 +30,59 @@ __all__: list[str] = [
     "surface_operators",
     "unique_edges",
 ]
+
+class SparseOperator:
+    """
+    A constant sparse matrix (R, V) and its transpose by compressed rows, for sparse_product.
+
+    torch's own and scipy's matrices share its memory: ``matrix.to_sparse_csr()`` and
+    ``scipy.sparse.csr_array((matrix.values, matrix.columns, matrix.rows), matrix.shape)``.
+    """
+    def __getstate__(self) -> tuple: ...
+    def __init__(self, matrix: torch.Tensor) -> None:
+        """
+        Of a matrix (R, V), dense or of any of torch's sparse layouts.
+        """
+    def __repr__(self) -> str: ...
+    def __setstate__(self, arg0: tuple) -> None: ...
+    def tensors(self) -> tuple:
+        """
+        (rows, columns, values) of the matrix, then of its transpose: what the operation
+        torch.ops.freetalk.sparse_product takes before x, under torch.compile for instance.
+        """
+    def to(self, dtype: typing.Any, device: typing.Any = "cpu") -> SparseOperator:
+        """
+        A copy with another dtype and device.
+        """
+    def to_dense(self) -> torch.Tensor:
+        """
+        (R, V).
+        """
+    def to_sparse_csr(self) -> torch.Tensor:
+        """
+        torch's sparse CSR tensor (R, V), nothing copied.
+        """
+    def transposed(self) -> SparseOperator:
+        """
+        (V, R), nothing copied.
+        """
+    @property
+    def columns(self) -> torch.Tensor:
+        """
+        (N,).
+        """
+    @property
+    def rows(self) -> torch.Tensor:
+        """
+        (R + 1,) first entry of each row, and the end; int32 or int64.
+        """
+    @property
+    def shape(self) -> tuple[int, int]: ...
+    @property
+    def values(self) -> torch.Tensor:
+        """
+        (N,).
+        """
 
 class FaceOperators:
     """
@@ -55,14 +109,9 @@ class FaceOperators:
         (F, 3, 3) rows X, Y, normal.
         """
     @property
-    def gradients(self) -> torch.Tensor:
+    def gradients(self) -> SparseOperator:
         """
-        (2F, V) sparse CSR: X, then Y components in the faces' tangent frames.
-        """
-    @property
-    def gradients_transposed(self) -> torch.Tensor:
-        """
-        (V, 2F) sparse CSR.
+        (2F, V): X, then Y components in the faces' tangent frames.
         """
 
 class OperatorOptions:
@@ -128,14 +177,9 @@ class SurfaceOperators:
         (V, 3, 3) rows X, Y, normal.
         """
     @property
-    def gradients(self) -> torch.Tensor:
+    def gradients(self) -> SparseOperator:
         """
-        (2V, V) sparse CSR: X, then Y components in the tangent frames.
-        """
-    @property
-    def gradients_transposed(self) -> torch.Tensor:
-        """
-        (V, 2V) sparse CSR.
+        (2V, V): X, then Y components in the tangent frames.
         """
     @property
     def mass(self) -> torch.Tensor:

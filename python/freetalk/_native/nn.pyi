@@ -16,9 +16,6 @@ __all__: list[str] = [
     "face_divergence",
     "face_gradients",
     "integrate_jacobians",
-    "landmark_adjacency",
-    "landmark_edges",
-    "landmark_mirror",
     "poisson_solve",
     "sinusoidal_code",
     "sparse_product",
@@ -201,9 +198,6 @@ def face_gradients(
 def integrate_jacobians(
     faces: freetalk._native.geometry.FaceOperators, jacobians: torch.Tensor
 ) -> torch.Tensor: ...
-def landmark_adjacency() -> torch.Tensor: ...
-def landmark_edges() -> list[tuple[int, int]]: ...
-def landmark_mirror() -> typing.Annotated[list[int], "FixedSize(68)"]: ...
 def poisson_solve(
     faces: freetalk._native.geometry.FaceOperators,
     rhs: torch.Tensor,
@@ -214,5 +208,8 @@ def sinusoidal_code(
     positions: torch.Tensor, dim: typing.SupportsInt | typing.SupportsIndex
 ) -> torch.Tensor: ...
 def sparse_product(
-    matrix: torch.Tensor, transposed: torch.Tensor, x: torch.Tensor
-) -> torch.Tensor: ...
+    matrix: freetalk._native.geometry.SparseOperator, x: torch.Tensor
+) -> torch.Tensor:
+    """
+    (B, R, C) products of a SparseOperator (R, V) with x (B, V, C); differentiable in x.
+    """

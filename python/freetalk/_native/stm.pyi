@@ -12,6 +12,9 @@ __all__: list[str] = [
     "StmImpl",
     "StmOptions",
     "decode_adaptively",
+    "landmark_adjacency",
+    "landmark_edges",
+    "landmark_mirror",
 ]
 
 class StmOptions:
@@ -171,3 +174,6 @@ class AdaptiveReport:
 def decode_adaptively(
     decoder: FrameDecoder, landmarks: torch.Tensor, *, options: AdaptiveOptions = ...
 ) -> tuple[torch.Tensor, AdaptiveReport]: ...
+def landmark_adjacency() -> torch.Tensor: ...
+def landmark_edges() -> list[tuple[int, int]]: ...
+def landmark_mirror() -> typing.Annotated[list[int], "FixedSize(68)"]: ...
