@@ -47,7 +47,7 @@ class FaceRig:
                 as ``Stm.frame_decoder(...).decode``.
             poses: landmark motion that rigs are made of, or its file, ``rig_poses.safetensors`` of the weights.
             progress: called with the finished share in [0, 1]; may raise to stop.
-            options: fields of ``RigOptions``: poses, max_correctives, tolerance_mm, l1, l2, symmetry, cancel,
+            options: fields of ``RigOptions``: num_poses, max_correctives, tolerance_mm, l1, l2, symmetry, cancel,
                 temporal, disabled.
 
         Raises:

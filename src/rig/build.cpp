@@ -100,7 +100,7 @@ FaceRig FaceRig::build(const Decode& decode, const RigPoses& poses, const RigOpt
   rig.options_ = options;
   rig.names_ = poses.names;
   rig.shapes_ = poses.shapes.to(at::kCPU, at::kFloat).contiguous();
-  rig.nodes_ = candidates(poses, options.poses);
+  rig.nodes_ = candidates(poses, options.num_poses);
   const int64_t shapes = rig.shapes_.size(0);
   const at::Tensor decoded = decode_all(decode, rig.nodes_, progress);
   const at::Tensor targets = decoded.narrow(0, 1, shapes);

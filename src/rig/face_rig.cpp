@@ -51,7 +51,7 @@ void RigPoses::check() const {
 }
 
 void RigOptions::check() const {
-  FREETALK_CHECK(poses >= 0, "rig: poses must not be negative, found ", poses);
+  FREETALK_CHECK(num_poses >= 0, "rig: num_poses must not be negative, found ", num_poses);
   FREETALK_CHECK(max_correctives >= 0 && max_correctives <= 99,
                  "rig: max_correctives must be between 0 and 99, found ", max_correctives);
   FREETALK_CHECK(tolerance_mm >= 0, "rig: tolerance_mm must not be negative, found ", tolerance_mm);

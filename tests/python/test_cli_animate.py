@@ -266,13 +266,22 @@ def test_train_passes_everything_on(
 def test_evaluate_passes_everything_on(
     room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    from freetalk import data
     from freetalk.evaluate import open_corpus
 
-    seen: list[str] = []
-    monkeypatch.setattr(open_corpus, "main", seen.extend)
+    seen: dict[str, object] = {}
+
+    def measure(corpus: object, weights: Path, **options: object) -> dict[str, float]:
+        seen.update(corpus=corpus, weights=weights, **options)
+        return {"opening": 0.5}
+
+    monkeypatch.setattr(data, "OpenCorpus", str)
+    monkeypatch.setattr(open_corpus, "measure", measure)
     (tmp_path / "manifest.json").write_text(json.dumps({}))
     options = ["--data", str(tmp_path), "--pretrained", str(room / "weights"), "--parts", "ats"]
-    assert main(["evaluate", *options, "--out", str(tmp_path / "scores.json")]) == 0
-    assert seen[:4] == ["--corpus", str(tmp_path), "--pretrained", str(room / "weights")]
-    assert seen[seen.index("--parts") + 1] == "ats" and seen[-2] == "--out"
-    assert "--steps" not in seen  # those of the weights
+    scores = tmp_path / "scores.json"
+    assert main(["evaluate", *options, "--out", str(scores)]) == 0
+    assert seen["corpus"] == str(tmp_path) and seen["weights"] == room / "weights"
+    assert seen["parts"] == ["ats"]
+    assert seen["steps"] is None  # those of the weights
+    assert json.loads(scores.read_text()) == {"opening": 0.5}

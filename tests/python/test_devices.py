@@ -364,7 +364,7 @@ def test_training_tasks_run_on_the_device(
 ) -> None:
     """The loss of a batch and its gradient, and the validation's scores."""
     host, device = both_tasks(kind, corpus, tmp_path, mode, monkeypatch)
-    items = [host.item(np.random.default_rng(seed)) for seed in range(2)]
+    items = [host.item(np.random.default_rng(seed), seed) for seed in range(2)]
     batch = host.collate(items)
     host.model.eval(), device.model.eval()
     generator = torch.Generator().manual_seed(0)

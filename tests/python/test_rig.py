@@ -127,7 +127,7 @@ def test_an_exception_in_progress_stops_the_build(decoder: FrameDecoder) -> None
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        FaceRig.build(decoder.decode, POSES, progress=stop, poses=0)
+        FaceRig.build(decoder.decode, POSES, progress=stop, num_poses=0)
 
 
 def test_few_frames_stay_within_the_tolerances(decoder: FrameDecoder, motion: torch.Tensor) -> None:

@@ -34,7 +34,7 @@ struct RigPoses {
 };
 
 struct RigOptions {
-  int64_t poses = 100;           // of the library that are decoded, at most
+  int64_t num_poses = 100;       // of the library that are decoded, at most
   int64_t max_correctives = 32;  // fields; each gives two targets
   double tolerance_mm = 0.02;    // root mean square of what the correctives leave of the poses
   // Weights of the solver's terms, mm^2 over all landmarks:
@@ -48,7 +48,7 @@ struct RigOptions {
       "eyeLookInRight",  "eyeLookOutRight", "eyeLookUpRight"};  // shapes whose weight stays zero
   template <class V>
   void fields(V& v) {
-    v("poses", poses);
+    v("num_poses", num_poses);
     v("max_correctives", max_correctives);
     v("tolerance_mm", tolerance_mm);
     v("l2", l2);

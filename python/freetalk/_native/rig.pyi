@@ -17,7 +17,7 @@ class RigOptions:
     l1: typing.Any
     l2: typing.Any
     max_correctives: typing.Any
-    poses: typing.Any
+    num_poses: typing.Any
     symmetry: typing.Any
     temporal: typing.Any
     tolerance_mm: typing.Any

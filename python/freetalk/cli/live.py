@@ -153,7 +153,7 @@ def from_file(path: str) -> Iterator[NDArray[np.float32]]:
     """Blocks of a recording, each when it would have been spoken."""
     import freetalk
 
-    samples = np.asarray(freetalk.load_audio(path).samples)
+    samples: NDArray[np.float32] = np.asarray(freetalk.load_audio(path).samples, np.float32)
     size = int(BLOCK_S * RATE_HZ)
     start = time.perf_counter()
     for first in range(0, len(samples), size):

@@ -168,7 +168,7 @@ TEST(SurfaceOperators, OfTheRobustLaplacianHaveItsSpectrum) {
     // l (l + 1) with multiplicity 2 l + 1; linear elements at this resolution are 1-2 % off.
     for (int i = 1; i < 4; ++i) EXPECT_NEAR(evals[i], 2.0, 0.05) << cloud;
     for (int i = 4; i < 9; ++i) EXPECT_NEAR(evals[i], 6.0, 0.2) << cloud;
-    EXPECT_TRUE(operators.gradients.values().isfinite().all().item<bool>());
+    EXPECT_TRUE(operators.gradients.values.isfinite().all().item<bool>());
   }
 }
 
