@@ -146,7 +146,9 @@ def from_pcm(stream: BinaryIO) -> Iterator[NDArray[np.float32]]:
     """Blocks of a pipe of signed 16-bit little-endian samples."""
     size = 2 * int(BLOCK_S * RATE_HZ)
     while block := stream.read(size):
-        yield np.frombuffer(block[: len(block) // 2 * 2], "<i2").astype(np.float32) / 32768
+        yield np.frombuffer(block[: len(block) // 2 * 2], "<i2").astype(np.float32) / np.float32(
+            32768
+        )
 
 
 def from_file(path: str) -> Iterator[NDArray[np.float32]]:
