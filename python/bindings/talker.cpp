@@ -7,6 +7,7 @@
 
 #include "bind_options.h"
 #include "freetalk/core/error.h"
+#include "freetalk/rig/face_rig.h"
 #include "freetalk/talker/live.h"
 
 namespace {
@@ -79,6 +80,8 @@ void bind_face(py::module_& m) {
           py::arg("audio"), py::kw_only(), py::arg("seeds"), py::arg("options") = AnimateOptions{},
           py::arg("progress") = Progress{}, py::arg("out") = py::none(), NoGil())
       .def_static("num_frames", &Face::num_frames, py::arg("audio"), py::arg("fps"))
+      .def("rig", &Face::rig, py::arg("progress") = Progress{},
+           py::return_value_policy::reference_internal, NoGil())
       .def_property_readonly("mesh", &Face::mesh)
       .def_property_readonly("options", &Face::options)
       .def_property_readonly("report", &Face::report);
@@ -92,7 +95,14 @@ void bind_live(py::module_& m) {
       .def_readonly("index", &LiveFrame::index)
       .def_readonly("time_s", &LiveFrame::time_s, "Of the speech that it belongs to.")
       .def_readonly("landmarks", &LiveFrame::landmarks,
-                    "(68, 3) float32 displacements, metres, canonical frame.");
+                    "(68, 3) float32 displacements, metres, canonical frame.")
+      .def_property_readonly(
+          "weights",
+          [](const LiveFrame& self) -> std::optional<at::Tensor> {
+            if (!self.weights.defined()) return std::nullopt;
+            return self.weights;
+          },
+          "(W,) float32 in [0, 1] of the face's rig, None without.");
   py::class_<Live>(m, "Live", "Speech in as it is spoken, frames out.")
       .def(py::init<talker::Face, const talker::LiveOptions&>(), py::arg("face"),
            py::arg("options") = talker::LiveOptions{}, NoGil())

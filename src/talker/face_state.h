@@ -5,8 +5,10 @@
 #include <c10/core/Device.h>
 
 #include <memory>
+#include <mutex>
 
 #include "freetalk/animation/parts.h"
+#include "freetalk/rig/face_rig.h"
 #include "freetalk/stm/frame_decoder.h"
 #include "freetalk/talker/face.h"
 #include "freetalk/talker/models.h"
@@ -24,6 +26,14 @@ struct Face::State {
   at::Tensor to_mesh;  // (3, 3) float32: rows of displacements in metres to the mesh's own unit
   std::unique_ptr<const animation::Parts> parts;
   std::unique_ptr<const stm::FrameDecoder> decoder;
+  struct LazyRig {
+    std::once_flag once;
+    std::unique_ptr<const rig::FaceRig> made;
+  };
+  std::unique_ptr<LazyRig> lazy_rig;
+
+  /// See Face::rig.
+  const rig::FaceRig& rig(const std::function<void(double)>& progress) const;
 
   /// @throws as Talker::prepare.
   static std::shared_ptr<const State> prepare(std::shared_ptr<const TalkerModels> models,

@@ -62,6 +62,8 @@ struct Live::State {
   speech::SpeechStream hearing;
   ats::MotionStream motion;
   BlinkStream blinks;
+  const rig::FaceRig* rig;  // of the face; null: STM decodes
+  rig::SolveState solved;
   int64_t num_samples = 0, num_frames = 0;
 
   const ats::AtsOptions& own() const { return face.state().models->ats->options(); }
@@ -72,7 +74,8 @@ struct Live::State {
         hearing(face.state().models->speech, own().fps, talker::hearing(chosen)),
         motion(face.state().models->ats, emotion_keys(chosen.emotion, chosen.intensity, own()),
                static_cast<uint64_t>(chosen.seed), moving(chosen, face.state())),
-        blinks(make_blinks()) {}
+        blinks(make_blinks()),
+        rig(chosen.rig && !face.state().models->rig.names.empty() ? &face.rig() : nullptr) {}
 
   BlinkStream make_blinks() const {
     return {face.state().models->face.landmarks68, own().fps, static_cast<uint64_t>(options.seed)};
@@ -85,14 +88,17 @@ struct Live::State {
 
   void add(at::Tensor made, std::vector<LiveFrame>& frames) {
     if (options.blinks) blinks.add(made);
-    for (const at::Tensor& landmarks : made.unbind()) {
-      frames.push_back({num_frames, static_cast<double>(num_frames) / own().fps, landmarks});
+    const at::Tensor weights = rig != nullptr ? rig->solve(made, &solved) : at::Tensor();
+    for (int64_t t = 0; t < made.size(0); ++t) {
+      frames.push_back({num_frames, static_cast<double>(num_frames) / own().fps, made[t],
+                        weights.defined() ? weights[t] : weights});
       ++num_frames;
     }
   }
 
   void restart() {
     blinks = make_blinks();
+    solved = {};
     num_samples = num_frames = 0;
   }
 };
@@ -145,7 +151,8 @@ at::Tensor Live::decode(const LiveFrame& frame) const {
   const torch::NoGradGuard no_grad;
   const Face::State& face = state_->face.state();
   const auto landmarks = frame.landmarks.unsqueeze(0);
-  const auto skin = face.decoder->decode(landmarks.to(face.device));
+  const auto skin = frame.weights.defined() ? face.rig({}).vertices(frame.weights.unsqueeze(0))
+                                            : face.decoder->decode(landmarks.to(face.device));
   return face.rest + face.in_mesh(skin, landmarks).squeeze(0);
 }
 

@@ -70,7 +70,8 @@ std::shared_ptr<const Face::State> Face::State::prepare(std::shared_ptr<const Ta
   const torch::NoGradGuard no_grad;
   options.check();
   const auto face =
-      std::make_shared<State>(State{models, device, mesh, options, {}, {}, {}, {}, {}, {}});
+      std::make_shared<State>(State{models, device, mesh, options, {}, {}, {}, {}, {}, {}, {}});
+  face->lazy_rig = std::make_unique<LazyRig>();
   Report& report = face->report;
   Stages stages(progress, report);
 

@@ -64,6 +64,8 @@ Talker Talker::from_pretrained(const std::filesystem::path& directory,
   models.ats = core::load_model<ats::Ats, ats::AtsOptions>(directory / "ats", "freetalk-ats");
   models.stm = core::load_model<stm::Stm, stm::StmOptions>(directory / "stm", "freetalk-stm");
   models.face = load_template(directory / "template.safetensors");
+  const auto poses = directory / "rig_poses.safetensors";
+  if (std::filesystem::exists(poses)) models.rig = rig::RigPoses::load(poses);
   const int64_t heard = models.speech->options().hidden_size;
   const int64_t wanted = models.ats->options().audio_dim;
   FREETALK_RUNTIME_CHECK(heard == wanted, directory.string(), ": speech/ gives ", heard,

@@ -10,7 +10,8 @@ import pytest
 import torch
 from test_stm_ablations import SHIPPED
 
-from freetalk.corpus.assets import load_expression_take, load_face_model
+import freetalk
+from freetalk.corpus.assets import load_expression_take, load_face_model, speech_clip
 from freetalk.corpus.topologies import crop, decimate
 from freetalk.geometry import surface_operators
 from freetalk.rig import FaceRig, RigPoses, SolveState
@@ -150,3 +151,26 @@ def test_tolerances_out_of_range_are_refused(decoder: FrameDecoder, motion: torc
         decode_adaptively(decoder, motion, tolerance_mm=-1)
     with pytest.raises(ValueError, match="landmarks must be"):
         decode_adaptively(decoder, motion[0])
+
+
+def test_live_frames_of_the_rig_are_close_to_those_that_stm_decodes() -> None:
+    model = load_face_model()
+    small = decimate(model, crop(model, "face"), 900)
+    vertices = small.carry @ model.neutral.astype(np.float64)
+    mesh = freetalk.Mesh(vertices, small.faces.tolist(), name="small")
+    face = freetalk.Talker.from_pretrained("open-small").prepare(
+        mesh, unit="m", up="+y", forward="+z", cache_dir=None, progress=False
+    )
+    wave = np.array(freetalk.load_audio(speech_clip()).samples)[:32000]
+    decoded = []
+    for through_rig in (True, False):
+        live = face.live(emotion="happy", rig=through_rig)
+        frames = live.push(wave) + live.finish()
+        assert (frames[0].weights is not None) == through_rig
+        decoded.append(torch.stack([live.decode(frame) for frame in frames]))
+        if through_rig:
+            weights = torch.stack([frame.weights for frame in frames])
+            assert weights.shape == (60, len(face.rig().names))
+            assert weights.min() >= 0 and weights.max() <= 1
+    error_mm = 1e3 * (decoded[0] - decoded[1]).norm(dim=-1)
+    assert error_mm.mean() <= 0.2 and error_mm.flatten().quantile(0.99) <= 0.6  # a rig's targets

@@ -34,7 +34,7 @@ def test_the_power_dwells_on_noisy_steps(
 ) -> None:
     task = make(corpus, tmp_path, f"task.step_power={power}")
     rng = np.random.default_rng(0)
-    steps = np.array([task.item(rng)["step"] for _ in range(600)])
+    steps = np.array([task.item(rng, number)["step"] for number in range(600)])
     assert steps.min() >= 0 and steps.max() < 1000
     assert steps.mean() / 1000 == pytest.approx(mean, abs=0.04)
 
@@ -57,7 +57,7 @@ def test_a_rehearsed_mouth_is_the_models_own_estimate(
 ) -> None:
     task = make(corpus, tmp_path, f"task.rehearsal={rehearsal}", "model.dropout=0")
     rng = np.random.default_rng(1)
-    batch = task.collate([task.item(rng) for _ in range(3)])
+    batch = task.collate([task.item(rng, number) for number in range(3)])
     spy = Spy(task.schedule)
     task.schedule = spy  # type: ignore[assignment]
     task.loss(batch, torch.Generator())["loss"].backward()
@@ -80,7 +80,7 @@ def test_eyes_and_lips_weigh_as_asked(
     eyes, lips = (3.0 if part is weighted else 1.0 for part in (EYES, LIPS))
     task = make(corpus, tmp_path, f"task.eye_weight={eyes}", f"task.lip_weight={lips}")
     rng = np.random.default_rng(2)
-    batch = task.collate([task.item(rng) for _ in range(2)])
+    batch = task.collate([task.item(rng, number) for number in range(2)])
     target = task._normalised(batch).view(*batch["motion"].shape[:2], -1, 3)
     losses = []
     for part in (weighted, others):

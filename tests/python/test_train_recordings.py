@@ -48,7 +48,8 @@ def test_a_batch_of_recordings_holds_their_phones_and_no_motion(
     config = load_config("speech", CONFIGS / "speech_smoke.yaml", options)
     task = make_task(config, OpenCorpus(corpus), tmp_path, torch.device("cpu"))
     generator = torch.Generator().manual_seed(3)
-    batch = task.batch(generator)
+    rng = np.random.default_rng(3)
+    batch = task.collate([task.item(rng, number) for number in range(config.loop.batch_size)])
     names = {name: task.targets.phones.index(name) for name in ("sil", "AH", "M", "K")}
     assert set(batch["phones"].flatten().tolist()) == set(names.values())
     assert not batch["moving"].any() and batch["valid"].any()

@@ -253,6 +253,7 @@ def test_missing_ffmpeg_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None
         raise RuntimeError("No ffmpeg exe could be found.")
 
     monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", missing)
+    monkeypatch.setenv("PATH", "")  # nor the system's
     with pytest.raises(RuntimeError, match="no ffmpeg was found; pip install imageio-ffmpeg"):
         viz.check_video_support()
 

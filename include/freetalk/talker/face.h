@@ -15,6 +15,10 @@
 #include "freetalk/mesh/mesh.h"
 #include "freetalk/talker/options.h"
 
+namespace freetalk::rig {
+class FaceRig;
+}
+
 namespace freetalk::talker {
 
 class Live;
@@ -71,6 +75,12 @@ class Face {
                                                  const Progress& progress = {},
                                                  Report* report = nullptr,
                                                  const at::Tensor& out = {}) const;
+
+  /// The skin as named blend shapes, canonical frame; include rig/face_rig.h. Made when it is first
+  /// asked for (STM decodes up to 150 poses), then shared; kept in the folder of the operators.
+  /// @throws std::runtime_error where the weights hold no poses to make it of; whatever `progress`
+  /// throws.
+  const rig::FaceRig& rig(const Progress& progress = {}) const;
 
   /// A stream on this face; include talker/live.h. @throws as Live.
   Live live(const LiveOptions& options) const;

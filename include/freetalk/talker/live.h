@@ -32,6 +32,9 @@ struct LiveOptions {
   std::optional<double> affect_guidance;
   std::optional<double> mouth_temperature;
   bool blinks = true;  // also blink where the model leaves the eyes open for long
+  // Frames carry weights of the face's rig, which the first stream makes, and are decoded with it:
+  // fast enough for live speech. Without, and with weights that hold no poses, STM decodes them.
+  bool rig = true;
 
   template <class V>
   void fields(V& v) {
@@ -51,6 +54,7 @@ struct LiveOptions {
     v("affect_guidance", affect_guidance);
     v("mouth_temperature", mouth_temperature);
     v("blinks", blinks);
+    v("rig", rig);
   }
   /// @throws std::invalid_argument naming the option at fault.
   void check() const;
@@ -60,6 +64,7 @@ struct LiveFrame {
   int64_t index = 0;
   double time_s = 0.0;   // of the speech that it belongs to: index / fps()
   at::Tensor landmarks;  // (68, 3) float32 m, displacements in the canonical frame
+  at::Tensor weights;    // (W,) float32 in [0, 1] of face().rig().names(); undefined without rig
 };
 
 /// One stream on one face. Not to be shared between threads; the face may be.

@@ -5,6 +5,7 @@
 
 #include "freetalk/ats/ats.h"
 #include "freetalk/ats/generate.h"
+#include "freetalk/rig/face_rig.h"
 #include "freetalk/speech/encoder.h"
 #include "freetalk/stm/stm.h"
 
@@ -23,6 +24,7 @@ struct TalkerModels {
   stm::Stm stm{nullptr};
   Template face;
   ats::GenerateOptions generate;  // the weights' own sampling options
+  rig::RigPoses rig;              // of the rigs of faces; without names: none
 };
 
 }  // namespace freetalk::talker

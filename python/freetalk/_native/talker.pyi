@@ -4,6 +4,7 @@ import freetalk._native.animation
 import freetalk._native.audio
 import freetalk._native.geometry
 import freetalk._native.mesh
+import freetalk._native.rig
 import numpy
 import numpy.typing
 import os
@@ -181,6 +182,9 @@ class Face:
         progress: collections.abc.Callable[[str, float], None] | None = None,
         out: torch.Tensor | None = None,
     ) -> tuple[list[freetalk._native.animation.Animation], Report]: ...
+    def rig(
+        self, progress: collections.abc.Callable[[str, float], None] | None = None
+    ) -> freetalk._native.rig.FaceRig: ...
     @property
     def mesh(self) -> freetalk._native.mesh.Mesh: ...
     @property
@@ -207,6 +211,7 @@ class LiveOptions:
     mouth_temperature: typing.Any
     num_steps: typing.Any
     redo_frames: typing.Any
+    rig: typing.Any
     sampler: typing.Any
     seed: typing.Any
     window_frames: typing.Any
@@ -240,6 +245,11 @@ class LiveFrame:
     def time_s(self) -> float:
         """
         Of the speech that it belongs to.
+        """
+    @property
+    def weights(self) -> torch.Tensor | None:
+        """
+        (W,) float32 in [0, 1] of the face's rig, None without.
         """
 
 class Live:

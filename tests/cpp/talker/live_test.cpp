@@ -2,6 +2,7 @@
 
 #include <random>
 
+#include "freetalk/rig/face_rig.h"
 #include "small_talker.h"
 
 namespace freetalk::talker {
@@ -52,6 +53,39 @@ TEST_F(LiveTest, GivesTheSameBitsHoweverTheSamplesAreCut) {
     // The stream starts afresh after finish(): the same object serves again.
     EXPECT_TRUE(at::equal(motion(run(live, samples, most)), motion(all))) << most;
   }
+}
+
+TEST_F(LiveTest, FramesCarryWeightsOfTheFacesRigWhereTheWeightsHoldPoses) {
+  const auto samples = hum(1.5).samples;
+  Live without = face().live({});
+  EXPECT_FALSE(run(without, samples, 5000).front().weights.defined());
+  EXPECT_THROW(face().rig(), std::runtime_error);
+
+  torch::manual_seed(5);
+  TalkerModels models = Talker::from_pretrained(dir_, c10::kCPU).models();
+  models.rig = {
+      {"jawOpen", "browInnerUp"}, 2e-3 * at::randn({2, 68, 3}), 2e-3 * at::randn({30, 68, 3})};
+  const Face rigged = Talker(models).prepare(face_mesh(1.0), options());
+  std::vector<at::Tensor> weights;
+  for (const size_t most : {700, 40000}) {
+    Live live = rigged.live({});
+    std::vector<at::Tensor> rows;
+    for (const LiveFrame& frame : run(live, samples, most)) {
+      rows.push_back(frame.weights);
+      EXPECT_TRUE(live.decode(frame).isfinite().all().item<bool>());
+    }
+    weights.push_back(at::stack(rows));
+  }
+  EXPECT_EQ(weights[0].size(1), rigged.rig().targets().size(0));
+  EXPECT_EQ(&rigged.rig(), &rigged.rig());  // made once
+  EXPECT_GE(weights[0].min().item<float>(), 0.0F);
+  EXPECT_LE(weights[0].max().item<float>(), 1.0F);
+  EXPECT_TRUE(at::equal(weights[0], weights[1]));  // however the samples are cut
+
+  LiveOptions exact;
+  exact.rig = false;
+  Live decoded = rigged.live(exact);
+  EXPECT_FALSE(run(decoded, samples, 5000).front().weights.defined());
 }
 
 TEST_F(LiveTest, AFrameComesWithinTheLatency) {

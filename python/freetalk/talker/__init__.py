@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
 import torch
 
 from freetalk import _native
@@ -18,13 +17,11 @@ from freetalk.ats import Emotion, emotion_text
 from freetalk.audio import Audio, load_audio
 from freetalk.geometry import Alignment, AlignOptions
 from freetalk.mesh import Mesh, load_mesh
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+from freetalk.rig import FaceRig
+from freetalk.talker.live import Live, LiveFrame
 
 AnimateOptions = _native.talker.AnimateOptions
 FaceOptions = _native.talker.FaceOptions
-LiveFrame = _native.talker.LiveFrame
 LiveOptions = _native.talker.LiveOptions
 TalkerOptions = _native.talker.TalkerOptions
 Report = _native.talker.Report
@@ -318,6 +315,21 @@ class Face:
             )
         return [Animation._wrap(native) for native in natives]
 
+    def rig(self, *, progress: bool | Progress | None = None) -> FaceRig:
+        """The skin as named blend shapes, made when it is first asked for (seconds), then shared.
+
+        Args:
+            progress: True: a bar on a terminal; or a callback (done, total).
+
+        Returns:
+            The rig, in metres and the canonical frame; kept in the cache folder for the next time.
+
+        Raises:
+            RuntimeError: the weights hold no poses to make it of (``rig_poses.safetensors``).
+        """
+        with StageProgress(progress, {"rig": 1.0}) as bar:
+            return FaceRig(self._native.rig(bar.update))
+
     def live(self, *, emotion: Emotion = "neutral", **options: Any) -> Live:
         """A stream: speech in as it is spoken, frames out about half a second later.
 
@@ -330,57 +342,6 @@ class Face:
         """
         wanted = LiveOptions(emotion=emotion_text(emotion), **options)
         return Live(_native.talker.Live(self._native, wanted))
-
-
-class Live:
-    """One stream on one face, made by :meth:`Face.live`. Not to be shared between threads; the face may be.
-
-    Frames are the same to the bit however the samples are divided over the calls.
-    """
-
-    def __init__(self, native: Any) -> None:
-        self._native = native
-
-    def push(self, samples: ArrayLike) -> list[LiveFrame]:
-        """Frames that are final with further samples.
-
-        Args:
-            samples: (n,) mono speech in [-1, 1] at 16 kHz, n may be 0.
-
-        Returns:
-            Frames in order, each with ``index``, ``time_s`` of the speech it belongs to and ``landmarks`` (68, 3).
-        """
-        return self._native.push(np.asarray(samples, dtype=np.float32))
-
-    def finish(self) -> list[LiveFrame]:
-        """The rest, as if the speech ended here: round(duration * fps) frames in all. Then it starts afresh."""
-        return self._native.finish()
-
-    def reset(self) -> None:
-        """Forgets everything, as if nothing had been pushed."""
-        self._native.reset()
-
-    def set_emotion(self, emotion: Emotion, intensity: float | None = None) -> None:
-        """Another emotion from the last pushed sample on; keyframes count from there.
-
-        Raises:
-            ValueError: an unknown emotion (the message lists the known), or an intensity out of range.
-        """
-        self._native.set_emotion(emotion_text(emotion), intensity)
-
-    def decode(self, frame: LiveFrame) -> torch.Tensor:
-        """(V, 3) float32 vertices of a frame, in the mesh's own unit and axes."""
-        return self._native.decode(frame)
-
-    @property
-    def latency_s(self) -> float:
-        """The longest time from a frame's moment to the sample that makes it final."""
-        return self._native.latency_s
-
-    @property
-    def fps(self) -> float:
-        """Frames per second."""
-        return self._native.fps
 
 
 def _mesh(mesh: Mesh | str | os.PathLike[str]) -> Mesh:

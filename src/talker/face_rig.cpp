@@ -1,0 +1,58 @@
+#include "freetalk/rig/face_rig.h"
+
+#include <ATen/ATen.h>
+#include <torch/torch.h>
+
+#include "face_state.h"
+#include "freetalk/core/error.h"
+#include "geometry/content_hash.h"
+
+namespace freetalk::talker {
+namespace {
+
+/// What tells the decoding of a face from that of any other.
+std::string content_of(const Face::State& face) {
+  geometry::ContentHash hash;
+  const auto add = [&hash](const void* data, size_t bytes) {
+    hash.update(&bytes, sizeof(bytes));
+    hash.update(data, bytes);
+  };
+  stm::Stm stm = face.models->stm;
+  for (const at::Tensor& parameter : stm->parameters()) {
+    const at::Tensor values = parameter.detach().to(at::kCPU).contiguous();
+    add(values.const_data_ptr(), values.nbytes());
+  }
+  const Eigen::MatrixXd& vertices = face.parts->face_vertices();
+  const Eigen::MatrixXi& faces = face.parts->face_faces();
+  add(vertices.data(), static_cast<size_t>(vertices.size()) * sizeof(double));
+  add(faces.data(), static_cast<size_t>(faces.size()) * sizeof(int));
+  add(face.options.precision.data(), face.options.precision.size());
+  return hash.hex();
+}
+
+}  // namespace
+
+const rig::FaceRig& Face::State::rig(const std::function<void(double)>& progress) const {
+  FREETALK_RUNTIME_CHECK(!models->rig.names.empty(),
+                         "these weights hold no rig_poses.safetensors, of which rigs are made");
+  std::call_once(lazy_rig->once, [&] {
+    const torch::NoGradGuard no_grad;
+    const rig::FaceRig::Decode decode = [this](const at::Tensor& landmarks) {
+      return decoder->decode(landmarks.to(device));
+    };
+    const auto& folder = options.cache_dir;
+    lazy_rig->made = std::make_unique<const rig::FaceRig>(
+        folder ? rig::FaceRig::cached(content_of(*this), *folder == "auto" ? "" : *folder, decode,
+                                      models->rig, {}, progress)
+               : rig::FaceRig::build(decode, models->rig, {}, progress));
+  });
+  return *lazy_rig->made;
+}
+
+const rig::FaceRig& Face::rig(const Progress& progress) const {
+  return state_->rig([&progress](double share) {
+    if (progress) progress("rig", share);
+  });
+}
+
+}  // namespace freetalk::talker
