@@ -150,11 +150,17 @@ def test_sampling_options_and_keyframes_reach_the_talker(room: Path, tmp_path: P
         "bfloat16",
     ]
     options += ["--guidance", "audio=1.5,emotion=2", "--mouth-temperature", "0.25", "--no-blinks"]
+    options += ["--tolerance-mm", "0"]
     assert animate(room, *options, "--out", out) == 0
     used = ft.Animation.load(out).metadata["options"]
     assert used["emotion"] == emotion
     wanted = {"sampler": "dpmpp", "num_steps": 6, "precision": "bfloat16"}
-    wanted |= {"audio_guidance": 1.5, "affect_guidance": 2.0, "mouth_temperature": 0.25}
+    wanted |= {
+        "audio_guidance": 1.5,
+        "affect_guidance": 2.0,
+        "mouth_temperature": 0.25,
+        "tolerance_mm": 0.0,
+    }
     assert {name: used[name] for name in wanted} == wanted
     assert not used["blinks"]
     assert animate(room, "--guidance", "1.5", "--steps", "2", "--out", out) == 0
@@ -169,6 +175,7 @@ def test_sampling_options_and_keyframes_reach_the_talker(room: Path, tmp_path: P
         ("--guidance", "audio=1,audio=2", "audio=1.5,emotion=2"),
         ("--guidance", "-1", "0 to 100"),
         ("--mouth-temperature", "2", "0 to 1"),
+        ("--tolerance-mm", "-1", "0 for none"),
         ("--sampler", "euler", "dpmpp"),
         ("--emotion", "0=neutral; happy", "has no time"),
         ("--emotion", "1=happy; 0=sad", "must rise"),

@@ -59,8 +59,9 @@ def animate(
         options["sampler"] = arguments.sampler
     if hasattr(arguments, "steps"):
         options["num_steps"] = arguments.steps
-    if hasattr(arguments, "mouth_temperature"):
-        options["mouth_temperature"] = arguments.mouth_temperature
+    for name in ("mouth_temperature", "tolerance_mm"):
+        if hasattr(arguments, name):
+            options[name] = getattr(arguments, name)
     if hasattr(arguments, "guidance"):
         options.update(arguments.guidance)
     options["scratch_dir"] = tempfile.gettempdir()  # long speech: results larger than memory

@@ -30,6 +30,14 @@ def intensity(text: str) -> float:
     return value
 
 
+def tolerance(text: str) -> float:
+    """A finite number of at least 0."""
+    value = number(text)
+    if not (math.isfinite(value) and value >= 0):
+        raise argparse.ArgumentTypeError(f"'{text}' is no tolerance: give millimetres, 0 for none")
+    return value
+
+
 def temperature(text: str) -> float:
     """A number from 0 to 1."""
     value = number(text)

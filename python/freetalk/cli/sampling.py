@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 
-from freetalk.cli.numbers import natural, temperature
+from freetalk.cli.numbers import natural, temperature, tolerance
 
 _GUIDANCE = {"audio": "audio_guidance", "emotion": "affect_guidance"}
 
@@ -51,6 +51,13 @@ def add_sampling(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--mouth-temperature", type=temperature, default=absent, metavar="T", help=temperature_help
+    )
+    tolerance_help = (
+        "largest error in mm of frames that are interpolated instead of decoded by the network; 0 decodes "
+        "every frame; by default 0.2"
+    )
+    parser.add_argument(
+        "--tolerance-mm", type=tolerance, default=absent, metavar="MM", help=tolerance_help
     )
     parser.add_argument(
         "--blinks",
