@@ -4,9 +4,9 @@
 #include <Eigen/Geometry>
 
 #include <algorithm>
-#include <map>
 
 #include "face_state.h"
+#include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
 #include "freetalk/geometry/operators.h"
 #include "stages.h"
@@ -26,10 +26,10 @@ animation::MeshFrame frame_of(const geometry::Alignment& alignment) {
   frame.to_y_up.row(0) = up.cross(forward);
   frame.to_y_up.row(1) = up;
   frame.to_y_up.row(2) = forward;
-  static const std::map<std::string, double> metres = {
-      {"m", 1.0}, {"cm", 0.01}, {"mm", 0.001}, {"in", 0.0254}};
-  const auto unit = metres.find(alignment.unit);
-  frame.metres_per_unit = unit == metres.end() ? alignment.to_canonical.scale : unit->second;
+  frame.metres_per_unit = alignment.to_canonical.scale;
+  for (const core::Unit& unit : core::kUnits) {
+    if (alignment.unit == unit.name) frame.metres_per_unit = unit.metres;
+  }
   return frame;
 }
 
