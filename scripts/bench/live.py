@@ -98,7 +98,7 @@ def table(face: freetalk.Face, arguments: argparse.Namespace) -> None:
         "num_steps": arguments.steps,
         "sampler": arguments.sampler,
     }
-    offline = SpeechToMotion(WEIGHTS)
+    offline = SpeechToMotion.of(WEIGHTS)
     play(face, np.zeros(RATE_HZ, np.float32), options, arguments.vertices)  # warm
     print(f"promised latency {face.live(**options).latency_s:.2f} s and the computing")
     heads = ("RTF", "latency s", "corr", "mm", "seam jerk", "offline's", "jerk / offline")

@@ -42,7 +42,6 @@ from freetalk.corpus.topologies import (
     subdivide,
 )
 from freetalk.data import MotionSequence, OpenCorpus
-from freetalk.evaluate.pretrained import load_stm
 from freetalk.evaluate.writers import plain_table
 from freetalk.geometry import surface_operators
 from freetalk.stm import Stm
@@ -189,7 +188,7 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
     corpus = OpenCorpus(arguments.corpus)
-    heads = Heads(load_stm(arguments.pretrained), corpus, arguments)
+    heads = Heads(Stm.from_pretrained(arguments.pretrained / "stm").eval(), corpus, arguments)
     meshings = {"original": crop(heads.source, ORIGINAL)}
     meshings |= {name: MESHINGS[name](heads.source) for name in arguments.meshings}
     with torch.no_grad():

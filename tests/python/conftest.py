@@ -22,7 +22,7 @@ SLOW_FILES = {
     ),
     *("test_train", "test_train_checkpoint", "test_train_cuts", "test_train_diffusion_steps"),
     *("test_train_features", "test_train_initial", "test_train_mosaic", "test_train_processes"),
-    *("test_train_recordings", "test_train_samples", "test_evaluate", "test_nasty_meshes"),
+    *("test_train_recordings", "test_train_previews", "test_evaluate", "test_nasty_meshes"),
 }
 
 

@@ -79,8 +79,7 @@ def animate_refused(capsys: pytest.CaptureFixture[str], folder: Path, **changes:
         ("fps", "-25", "above 0"),
         ("fps", "nan", "above 0"),
         ("fps", "fast", "'fast'"),
-        ("intensity", "0.5", "1 (slight) to 3 (strong)"),
-        ("intensity", "3.01", "1 (slight) to 3 (strong)"),
+        ("intensity", "0.5", "at least 1 (slight)"),
         ("steps", "0", "whole number above 0"),
         ("seed", "-1", "whole number from 0"),
         ("size", "31x33", "even pixels"),
@@ -165,8 +164,30 @@ def test_audio_with_nan_is_named(capsys: pytest.CaptureFixture[str], folder: Pat
     assert "nan.wav" in animate_refused(capsys, folder, audio=folder / "nan.wav")
 
 
-def test_folder_as_audio_is_named(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
-    assert "is a folder" in animate_refused(capsys, folder, audio=folder)
+def test_folder_without_audio_is_named(capsys: pytest.CaptureFixture[str], folder: Path) -> None:
+    (folder / "nothing").mkdir()
+    out = folder / "out" / "{name}.npz"
+    assert "holds no .wav" in animate_refused(capsys, folder, audio=folder / "nothing", out=out)
+
+
+def test_folders_need_a_place_for_each_animation(
+    capsys: pytest.CaptureFixture[str], folder: Path
+) -> None:
+    message = animate_refused(capsys, folder, audio=folder)
+    assert "talk.npz' is one place for many" in message
+    message = animate_refused(capsys, folder, out=folder / "out" / "{name}.npz")
+    assert "none was given" in message
+
+
+def test_files_that_differ_in_suffix_alone_are_refused(
+    capsys: pytest.CaptureFixture[str], folder: Path
+) -> None:
+    sounds = folder / "sounds"
+    sounds.mkdir()
+    for name in ("one.wav", "one.FLAC"):
+        (sounds / name).write_bytes(b"sound")
+    message = animate_refused(capsys, folder, audio=sounds, out=folder / "out" / "{name}.npz")
+    assert "one.npz" in message and "suffix alone" in message
 
 
 @pytest.mark.parametrize(

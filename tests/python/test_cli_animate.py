@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -124,6 +125,35 @@ def test_without_mesh_the_built_in_face_speaks(
     assert main(["animate", *map(str, arguments)]) == 0
     assert "built-in" in capsys.readouterr().out
     assert ft.Animation.load(out).vertices.shape == (9409, 3)
+
+
+def test_folders_of_recordings_and_meshes_are_animated(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sounds, meshes = tmp_path / "sounds", tmp_path / "meshes"
+    for folder, files in ((sounds, ("speech.wav", "silence.wav")), (meshes, ("face.obj",))):
+        folder.mkdir()
+        for file in files:
+            shutil.copyfile(room / file, folder / file)
+    (sounds / "broken.wav").write_text("no sound")
+    out = tmp_path / "out"
+    given = ["animate", "--audio", sounds, "--mesh", meshes, "--pretrained", room / "weights"]
+    given += ["--steps", "2", "--fps", "10", "--device", "cpu"]
+    assert main([str(word) for word in (*given, "--out", out / "{name}.npz")]) == 2
+    captured = capsys.readouterr()
+    assert "1 of 3 animations failed: broken.wav on face.obj" in captured.err
+    assert {file.name for file in out.iterdir()} == {"speech_face.npz", "silence_face.npz"}
+    alone = tmp_path / "alone.npz"
+    assert animate(room, "--quiet", "--steps", "2", "--fps", "10", "--out", alone) == 0
+    assert alone.read_bytes() == (out / "speech_face.npz").read_bytes()
+
+
+def test_an_intensity_beyond_the_weights_is_refused(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert animate(room, "--intensity", "3.01", "--out", tmp_path / "talk.glb") == 2
+    assert "these weights know 1 (slight) to 3 (strong)" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 def test_unknown_emotion_lists_the_known_ones(
@@ -274,21 +304,20 @@ def test_evaluate_passes_everything_on(
     room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from freetalk import data
-    from freetalk.evaluate import open_corpus
+    from freetalk.evaluate import weights as scores_of
 
     seen: dict[str, object] = {}
 
-    def measure(corpus: object, weights: Path, **options: object) -> dict[str, float]:
-        seen.update(corpus=corpus, weights=weights, **options)
+    def measure(dataset: object, weights: Path, **options: object) -> dict[str, float]:
+        seen.update(dataset=dataset, weights=weights, **options)
         return {"opening": 0.5}
 
-    monkeypatch.setattr(data, "OpenCorpus", str)
-    monkeypatch.setattr(open_corpus, "measure", measure)
-    (tmp_path / "manifest.json").write_text(json.dumps({}))
+    monkeypatch.setattr(data, "open_dataset", str)
+    monkeypatch.setattr(scores_of, "measure", measure)
     options = ["--data", str(tmp_path), "--pretrained", str(room / "weights"), "--parts", "ats"]
     scores = tmp_path / "scores.json"
     assert main(["evaluate", *options, "--out", str(scores)]) == 0
-    assert seen["corpus"] == str(tmp_path) and seen["weights"] == room / "weights"
-    assert seen["parts"] == ["ats"]
+    assert seen["dataset"] == str(tmp_path) and seen["weights"] == room / "weights"
+    assert seen["parts"] == ["ats"] and seen["device"] is None
     assert seen["steps"] is None  # those of the weights
     assert json.loads(scores.read_text()) == {"opening": 0.5}

@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from dataset_layouts import write_folder
 from mini_corpus import write_mini_corpus
 
+from freetalk.ats import Ats, AtsOptions, GenerateOptions, generate, generate_batch
 from freetalk.cli import main
+from freetalk.data import OpenCorpus, open_dataset
 from freetalk.evaluate import NearestCentroid, closures, correlation, log_energy
-from freetalk.evaluate.pretrained import SpeechToMotion
+from freetalk.evaluate.dataset_truth import DatasetTruth
+from freetalk.evaluate.motion_files import read_motion
+from freetalk.evaluate.predict import PredictOptions, predict
+from freetalk.evaluate.pretrained import LandmarksToMesh, SpeechToMotion
+from freetalk.evaluate.weights import measure
 from freetalk.train import run
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -51,18 +61,31 @@ def test_nearest_centroid_finds_separate_classes() -> None:
     assert [classifier.label(np.full(4, v)) for v in (0.1, 0.9)] == ["a", "b"]
 
 
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_mini_corpus(tmp_path_factory.mktemp("evaluate") / "corpus")
+
+
+@pytest.fixture(scope="module")
+def weights(corpus: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All stages of one step, on the corpus."""
+    out = tmp_path_factory.mktemp("weights")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FREETALK_CACHE", str(out / "operators"))
+        for kind in ("speech", "ats", "stm"):
+            overrides = ["loop.max_steps=1", "loop.threads=1", "loop.device=cpu"]
+            if kind == "ats":
+                overrides.append("task.speech_encoder=")  # the one trained before it
+            run(kind, CONFIGS / f"{kind}_smoke.yaml", overrides, corpus, out)
+    return out
+
+
+@pytest.mark.usefixtures("own_cache")
 def test_all_scores_of_a_small_corpus(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    corpus: Path, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("FREETALK_CACHE", str(tmp_path / "operators"))
-    corpus = write_mini_corpus(tmp_path / "corpus")
-    for kind in ("speech", "ats", "stm"):
-        overrides = ["loop.max_steps=1", "loop.threads=1", "loop.device=cpu"]
-        if kind == "ats":
-            overrides.append("task.speech_encoder=")  # the one trained before it
-        run(kind, CONFIGS / f"{kind}_smoke.yaml", overrides, corpus, tmp_path / "out")
     take = "facegood_test"
-    given = f"evaluate --data {corpus} --pretrained {tmp_path / 'out'} --take {take}"
+    given = f"evaluate --data {corpus} --pretrained {weights} --take {take} --device cpu"
     given += " --samples 2 --steps 2"
     assert main([*given.split(), "--out", str(tmp_path / "scores.json")]) == 0
     scores = json.loads((tmp_path / "scores.json").read_text())
@@ -74,6 +97,129 @@ def test_all_scores_of_a_small_corpus(
     assert "relative_lip_error" in capsys.readouterr().out
     assert main([*given.replace(take, "other").split(), "--parts", "ats"]) == 2
     assert "no neutral test sequence of take 'other'" in capsys.readouterr().err
-    (tmp_path / "out" / "talker.json").write_text(json.dumps({"generate": {"num_steps": 7}}))
-    assert SpeechToMotion.of(tmp_path / "out").options.num_steps == 7  # as the weights want it
-    assert SpeechToMotion.of(tmp_path / "out", 3).options.num_steps == 3
+
+
+@pytest.mark.usefixtures("own_cache")
+def test_weights_are_scored_on_any_dataset(weights: Path, tmp_path: Path) -> None:
+    own = write_folder(tmp_path / "own", frames=50, fps=25)
+    scores = measure(open_dataset(own), weights, samples=2, steps=2, device="cpu")
+    assert scores.keys() == {"stm", "opening", "emotions"}  # no phones are known
+    assert scores["stm"]["relative_error"] > 0 and scores["opening"]["frames"] >= 50
+
+
+def test_weights_are_sampled_as_they_want_it(weights: Path, tmp_path: Path) -> None:
+    for stage in ("speech", "ats"):
+        shutil.copytree(weights / stage, tmp_path / stage)
+    (tmp_path / "talker.json").write_text(json.dumps({"generate": {"num_steps": 7}}))
+    assert SpeechToMotion.of(tmp_path).options.num_steps == 7
+    assert SpeechToMotion.of(tmp_path, {"num_steps": 3}).options.num_steps == 3
+
+
+# Predictions
+
+
+@pytest.mark.usefixtures("own_cache")
+def test_predictions_of_true_landmarks_score_as_the_network_does(
+    corpus: Path, weights: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    given = f"predict --data {corpus} --pretrained {weights} --driver landmarks --device cpu"
+    assert main([*given.split(), "--out", str(out)]) == 0
+    dataset = OpenCorpus(corpus)
+    clip = dataset.sequences("test")[0]
+    mesh = LandmarksToMesh(weights / "stm", "cpu")
+    expected = mesh.vertices(dataset, clip.identity, "finest", dataset.landmarks(clip)).numpy()
+    with np.load(out / f"{clip.id}.npz") as found:
+        np.testing.assert_array_equal(found["displacements"], expected)
+        assert (found["fps"], found["metres_per_unit"]) == (30, 1)
+    scored = (
+        f"evaluate --pred {out} --gt {corpus} --metrics mve_mean --out {tmp_path / 'scores.json'}"
+    )
+    assert main(scored.split()) == 0
+    (row,) = json.loads((tmp_path / "scores.json").read_text())["metrics"]
+    error = np.linalg.norm(expected - dataset.vertex_displacements("finest", clip), axis=-1)
+    value = row["systems"]["out"]["per_sequence"][clip.id]
+    assert value == pytest.approx(1000 * error.mean(), rel=1e-4)
+
+
+@pytest.mark.usefixtures("own_cache")
+def test_a_stopped_prediction_goes_on_and_another_one_is_refused(
+    weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = write_folder(tmp_path / "own", frames=50, fps=25)
+    out = tmp_path / "out"
+    given = f"predict --data {own} --pretrained {weights} --samples 2 --steps 2 --device cpu"
+    command = [*given.split(), "--out", str(out)]
+    assert main(command) == 0
+    files = sorted(out.glob("*.npz"))
+    clips = [clip.id for clip in open_dataset(own).sequences("test")]
+    assert [f.stem for f in files] == sorted(f"{c}_sample{k}" for c in clips for k in (0, 1))
+    content = {file: np.load(file)["displacements"] for file in files}
+    assert not np.array_equal(content[files[0]], content[files[1]])
+    files[0].unlink()
+    assert main(command) == 0
+    for file in files:
+        np.testing.assert_array_equal(np.load(file)["displacements"], content[file])
+    assert main([*command, "--seed", "5"]) == 2
+    assert "holds another prediction" in capsys.readouterr().err
+    scored = f"evaluate --pred {out} --gt {own} --metrics mve_mean diversity_vertex"
+    assert main(scored.split()) == 0
+
+
+@pytest.mark.usefixtures("own_cache")
+def test_predictions_lie_in_the_axes_of_the_datasets_files(weights: Path, tmp_path: Path) -> None:
+    dataset = open_dataset(write_folder(tmp_path / "own", frames=50, fps=25))
+    dataset.pose = replace(dataset.pose, rotation=np.eye(3, dtype=np.float32)[[1, 2, 0]])
+    options = PredictOptions(driver="landmarks")
+    predict(dataset, weights, tmp_path / "out", options, device="cpu")
+    truth = DatasetTruth(dataset, "test", None)
+    for clip in dataset.sequences("test"):
+        file = read_motion(tmp_path / "out" / f"{clip.id}.npz")
+        mesh = LandmarksToMesh(weights / "stm", "cpu")
+        wanted = mesh.vertices(
+            dataset, clip.identity, str(clip.topology), dataset.landmarks(clip)
+        ).numpy()
+        placed = truth.place(file, clip.id, "auto", None)
+        np.testing.assert_allclose(placed, wanted, atol=1e-7)
+
+
+def test_what_a_prediction_lacks_is_named(
+    corpus: Path, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(weights / "stm", tmp_path / "half" / "stm")
+    given = f"predict --data {corpus} --pretrained {tmp_path / 'half'} --out {tmp_path / 'out'}"
+    assert main(given.split()) == 2
+    assert "lacks speech and ats" in capsys.readouterr().err
+    assert main([*given.split(), "--driver", "landmarks", "--split", "train"]) == 2
+    assert "has the meshings coarse, fine in its split 'train'" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_clips_that_are_sampled_together_move_as_alone() -> None:
+    options = AtsOptions(d_model=32, num_layers=1, num_heads=2, ff_dim=64, max_frames=20)
+    options.audio_dim = 8
+    torch.manual_seed(0)
+    model = Ats(options).eval()
+    for parameter in model.parameters():
+        parameter.data += 0.05 * torch.randn_like(parameter)
+    features = [torch.randn(frames, 8) for frames in (20, 13, 31)]  # the last takes two windows
+    emotion = torch.eye(len(options.emotions))[[0, 3, 5]]
+    intensity = torch.tensor([1.0, 2.5, 3.0])
+    how = {"num_steps": 4, "mouth_temperature": 0.5}
+    how |= {"audio_guidance": 1.5, "affect_guidance": 1.3}
+    for sampler in ("dpmpp", "ddim", "ddpm"):
+        o = GenerateOptions(sampler=sampler, **how)
+        seeds = [[1, 2], [3, 4], [5, 6]]
+        together = generate_batch(
+            model, features, emotion=emotion, intensity=intensity, options=o, seeds=seeds
+        )
+        for k, moved in enumerate(together):
+            alone = generate(
+                model, features[k], emotion=emotion[k], intensity=intensity[k], options=o,
+                seed=seeds[k],
+            )  # fmt: skip
+            assert moved.shape == alone.shape and moved.std() > 0
+            # Sums over the batch are taken in another order.
+            torch.testing.assert_close(
+                moved, alone, rtol=1e-4, atol=1e-5 * float(alone.abs().max())
+            )

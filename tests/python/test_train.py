@@ -18,7 +18,7 @@ from freetalk.train import load_config, motion_loss, run
 from freetalk.train.augment import augment_wave, change_speed
 from freetalk.train.draws import Draws
 from freetalk.train.losses import closure_error
-from freetalk.train.sampling import SequenceSampler
+from freetalk.train.sequences import SequenceSampler
 from freetalk.train.speech_targets import SpeechTargets, log_mel
 from freetalk.train.stm_meshes import Placement, random_placement
 

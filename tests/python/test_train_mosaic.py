@@ -12,7 +12,7 @@ from mini_corpus import write_mini_corpus
 from freetalk.data import MotionSequence, OpenCorpus
 from freetalk.train.config import load_config
 from freetalk.train.mosaic import Mosaics, blended, faded
-from freetalk.train.sampling import numpy_generator
+from freetalk.train.sequences import numpy_generator
 from freetalk.train.speech import SpeechTask
 
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import signal
 import sys
 from pathlib import Path
@@ -14,8 +15,11 @@ import pytest
 from dataset_layouts import write_folder
 from mini_corpus import write_mini_corpus
 
+from freetalk import Talker
+from freetalk._pretrained import PRETRAINED
 from freetalk.cli.app import main
 from freetalk.train import load_config, loop, run
+from freetalk.train.assemble import assemble, encoder_record
 from freetalk.train.checkpoint import find_checkpoint, git_commit, load_state
 from freetalk.train.config import LoopOptions
 
@@ -263,20 +267,45 @@ def test_every_line_of_the_readme_takes_a_plain_folder(
         path = str(Path(__file__).parents[2] / config)
         command = ["train", kind, "--config", path, "--data", str(data), "--out", str(out)]
         assert main([*command, *steps, *TINY[kind]]) == 0, capsys.readouterr().err
-        told = capsys.readouterr().err
+        printed = capsys.readouterr()
+        told = printed.err
         assert "there is no source" in told
+        if kind == "speech":
+            assert f"{out} lacks ats and stm for `freetalk animate --pretrained`" in printed.out
         if kind == "stm":
             assert "has at most 2100 vertices: all are taken" in told
         if kind == "speech":
             assert "spectra and lip opening alone" in told
         assert (out / kind / "model.safetensors").is_file()
+    mesh, sound = data / "templates" / "ann.ply", data / "wav" / "ann_0.wav"
+    command = ["animate", "--pretrained", str(out), "--audio", str(sound)]
+    command += ["--mesh", str(mesh), "--out", str(tmp_path / "talk.glb")]
+    assert main(command) == 0, capsys.readouterr().err
+    assert (tmp_path / "talk.glb").stat().st_size > 1000
     words = ["pack_weights.py", *(w for k in TINY for w in (f"--{k}", str(out / k)))]
     words += ["--out", str(tmp_path / "weights")]
     traced = [] if git_commit() != "unknown" else ["--untraceable"]
     monkeypatch.setattr(sys, "argv", [*words, *traced])
     pack_weights.main()
-    mesh, sound = data / "templates" / "ann.ply", data / "wav" / "ann_0.wav"
-    command = ["animate", "--pretrained", str(tmp_path / "weights"), "--audio", str(sound)]
-    command += ["--mesh", str(mesh), "--out", str(tmp_path / "talk.glb")]
-    assert main(command) == 0, capsys.readouterr().err
-    assert (tmp_path / "talk.glb").stat().st_size > 1000
+    assert (tmp_path / "weights" / "talker.json").read_text() == (out / "talker.json").read_text()
+
+
+def test_an_audio_stage_brings_its_speech_encoder(tmp_path: Path) -> None:
+    encoder = PRETRAINED / "open-small" / "speech"
+    for stage in ("ats", "stm"):
+        shutil.copytree(PRETRAINED / "open-small" / stage, tmp_path / "out" / stage)
+    config = tmp_path / "out" / "ats" / "config.json"
+    about = json.loads(config.read_text())
+    about["training"]["speech_encoder"] = encoder_record(encoder)
+    config.write_text(json.dumps(about))
+    assert assemble(tmp_path / "out") == ""
+    Talker.from_pretrained(tmp_path / "out", device="cpu")
+    weights = tmp_path / "out" / "speech" / "model.safetensors"
+    assert weights.read_bytes() == (encoder / "model.safetensors").read_bytes()
+    weights.write_bytes(b"another")
+    assert "not with the one in" in assemble(tmp_path / "out")
+    with pytest.raises(ValueError, match=r"no folder of weights: it has no talker\.json"):
+        Talker.from_pretrained(tmp_path / "out", device="cpu")
+    shutil.rmtree(tmp_path / "out" / "stm")
+    with pytest.raises(ValueError, match=r"lacks stm, which `freetalk train stm --out"):
+        Talker.from_pretrained(tmp_path / "out", device="cpu")

@@ -1,29 +1,50 @@
-"""``freetalk animate``: the main job, from a recording and a mesh to files."""
+"""``freetalk animate``: the main job, from recordings and meshes to files."""
 
 from __future__ import annotations
 
 import argparse
 import tempfile
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from freetalk.cli.outputs import Output, check_readable, parse_outputs
-from freetalk.cli.weights import find_weights
+from freetalk.cli.app import describe
+from freetalk.cli.motion_options import diffusion_options
+from freetalk.cli.outputs import AUDIO_SUFFIXES, MESH_SUFFIXES, Output, inputs, parse_outputs
+from freetalk.cli.weights import check_intensity, find_weights
 
 if TYPE_CHECKING:
     import freetalk
 
 
+@dataclass(frozen=True)
+class Job:
+    """One recording on one mesh.
+
+    Attributes:
+        audio: the recording.
+        mesh: the mesh; ``None``: the built-in mean face.
+        outputs: where its animation goes.
+    """
+
+    audio: Path
+    mesh: Path | None
+    outputs: list[Output]
+
+
 def run(arguments: argparse.Namespace) -> None:
-    """Animates a mesh; every input and output is checked before the work begins."""
-    outputs = parse_outputs(arguments.out)
-    audio_file = check_readable(arguments.audio, "a recording of speech")
-    mesh_file = None
-    if arguments.mesh is not None:
-        mesh_file = check_readable(arguments.mesh, "a mesh (OBJ, PLY, OFF, STL or glTF)")
+    """Animates meshes; every input and output is checked before the work begins.
+
+    Raises:
+        RuntimeError: some of several animations failed; the message names them, the others are written.
+    """
+    jobs = plan(arguments)
     weights = find_weights(arguments.pretrained)
-    if any(output.format == "mp4" for output in outputs):
+    check_intensity(arguments.intensity, weights)
+    if any(output.format == "mp4" for job in jobs for output in job.outputs):
         from freetalk.viz import check_video_support
 
         check_video_support()
@@ -31,44 +52,102 @@ def run(arguments: argparse.Namespace) -> None:
 
     import freetalk
 
-    audio = freetalk.load_audio(audio_file)
-    mesh = freetalk.load_mesh(mesh_file) if mesh_file is not None else built_in_face()
-    talker = freetalk.Talker.from_pretrained(weights)
-    report.line("loaded", _describe_inputs(audio, mesh, mesh_file))
-    animation = animate(talker, audio, mesh, arguments, report)
-    write_all(animation, outputs, arguments.size, report)
+    @cache
+    def talker() -> freetalk.Talker:
+        return freetalk.Talker.from_pretrained(weights, device=arguments.device)
+
+    failed: list[str] = []
+    faces: dict[Path | None, freetalk.Face] = {}
+    for job in jobs:
+        try:
+            audio = freetalk.load_audio(job.audio)
+            if job.mesh not in faces:
+                faces = {job.mesh: prepare(talker, job.mesh, arguments, report)}
+            seconds = len(audio.samples) / audio.sample_rate_hz
+            report.line("speech", f"{job.audio.name}: {seconds:.2f} s")
+            write_all(animate(faces[job.mesh], audio, arguments, report), job, arguments, report)
+        except (ValueError, RuntimeError, OSError) as error:
+            if len(jobs) == 1:
+                raise
+            mesh = "" if job.mesh is None else f" on {job.mesh.name}"
+            failed.append(f"{job.audio.name}{mesh}: {describe(error)}")
+            report.line("failed", failed[-1])
     report.total()
+    if failed:
+        raise RuntimeError(f"{len(failed)} of {len(jobs)} animations failed: {'; '.join(failed)}")
+
+
+def plan(arguments: argparse.Namespace) -> list[Job]:
+    """Every recording on every mesh, a mesh after the other, with outputs that can be written.
+
+    Raises:
+        ValueError: outputs have no ``{name}`` for several animations, or one for a single animation.
+        OSError: an input is missing, or an output cannot be written.
+    """
+    parse_outputs([text.replace("{name}", "name") for text in arguments.out])
+    sounds = inputs(arguments.audio, AUDIO_SUFFIXES, "a recording of speech")
+    meshes: list[Path | None] = [None]
+    if arguments.mesh is not None:
+        wanted = "a mesh (OBJ, PLY, OFF, STL or glTF)"
+        meshes = list(inputs(arguments.mesh, MESH_SUFFIXES, wanted))
+    several = [Path(given).is_dir() for given in (arguments.audio, arguments.mesh or "")]
+    if arguments.mesh is None:
+        several[1] = False
+    wrong = [text for text in arguments.out if ("{name}" in text) != any(several)]
+    if wrong and any(several):
+        raise ValueError(
+            f"'{wrong[0]}' is one place for many animations: write {{name}} in it, '{{name}}.glb'"
+        )
+    if wrong:
+        raise ValueError(f"'{wrong[0]}': {{name}} stands for the files of a folder; none was given")
+    jobs = []
+    for mesh in meshes:
+        for sound in sounds:
+            stems = [sound.stem] * several[0] + ([mesh.stem] if mesh and several[1] else [])
+            texts = [text.replace("{name}", "_".join(stems)) for text in arguments.out]
+            jobs.append(Job(sound, mesh, parse_outputs(texts)))
+    paths = [output.path.absolute() for job in jobs for output in job.outputs]
+    if len(set(paths)) < len(paths):
+        twice = next(path for path in paths if paths.count(path) > 1)
+        raise ValueError(
+            f"two animations would be {twice}: files of one folder differ in suffix alone"
+        )
+    return jobs
+
+
+def prepare(
+    talker: Callable[[], freetalk.Talker],
+    file: Path | None,
+    arguments: argparse.Namespace,
+    report: Report,
+) -> freetalk.Face:
+    """Prepares a mesh and says what was guessed about it."""
+    import freetalk
+
+    mesh = freetalk.load_mesh(file) if file is not None else built_in_face()
+    pose = {name: getattr(arguments, name) for name in ("unit", "up", "forward", "precision")}
+    face = talker().prepare(mesh, **pose, progress=not report.quiet)
+    name = file.name if file is not None else "the built-in mean face"
+    found = face.report
+    report.line(
+        "mesh", f"{name}: {len(mesh.vertices)} vertices; {found.alignment.summary}; {found.parts}"
+    )
+    for notice in found.notices:
+        report.line("note", notice, timed=False)
+    return face
 
 
 def animate(
-    talker: freetalk.Talker,
-    audio: freetalk.Audio,
-    mesh: freetalk.Mesh,
-    arguments: argparse.Namespace,
-    report: Report,
+    face: freetalk.Face, audio: freetalk.Audio, arguments: argparse.Namespace, report: Report
 ) -> freetalk.Animation:
-    """Generates the motion and says what was guessed about the mesh."""
-    options: dict[str, Any] = {
-        name: getattr(arguments, name)
-        for name in (
-            *("emotion", "intensity", "fps", "seed", "blinks", "precision"),
-            *("unit", "up", "forward"),
-        )
-    }
-    if hasattr(arguments, "sampler"):
-        options["sampler"] = arguments.sampler
-    if hasattr(arguments, "steps"):
-        options["num_steps"] = arguments.steps
-    for name in ("mouth_temperature", "tolerance_mm"):
-        if hasattr(arguments, name):
-            options[name] = getattr(arguments, name)
-    if hasattr(arguments, "guidance"):
-        options.update(arguments.guidance)
+    """Generates the motion."""
+    names = ("emotion", "intensity", "fps", "seed", "blinks")
+    options: dict[str, Any] = {name: getattr(arguments, name) for name in names}
+    options |= diffusion_options(arguments)
+    if hasattr(arguments, "tolerance_mm"):
+        options["tolerance_mm"] = arguments.tolerance_mm
     options["scratch_dir"] = tempfile.gettempdir()  # long speech: results larger than memory
-    animation = talker.animate(audio, mesh, **options, progress=not report.quiet)
-    found = talker.report
-    assert found is not None
-    report.line("mesh", f"{found.alignment.summary}; {found.parts}", timed=False)
+    animation, found = face.animate_with_report(audio, **options, progress=not report.quiet)
     for notice in found.notices:
         report.line("note", notice, timed=False)
     stages = ", ".join(f"{stage} {seconds:.1f} s" for stage, seconds in found.timings.items())
@@ -83,19 +162,17 @@ def animate(
 
 
 def write_all(
-    animation: freetalk.Animation, outputs: list[Output], size: tuple[int, int], report: Report
+    animation: freetalk.Animation, job: Job, arguments: argparse.Namespace, report: Report
 ) -> None:
     """Writes every result that can be written.
 
     Raises:
         RuntimeError: one or more could not; the message names them and a file that keeps the motion.
     """
-    from freetalk.cli.app import describe
-
     failed: list[str] = []
-    for output in outputs:
+    for output in job.outputs:
         try:
-            write(animation, output, size, report)
+            write(animation, output, arguments.size, report)
         except (ValueError, RuntimeError, OSError, ImportError) as error:
             failed.append(describe(error))
     if failed:
@@ -150,12 +227,6 @@ class Report:
         """Prints the time of everything."""
         if not self.quiet:
             print(f"{'done':>9}  in {time.perf_counter() - self._start:.1f} s", flush=True)
-
-
-def _describe_inputs(audio: freetalk.Audio, mesh: freetalk.Mesh, mesh_file: Path | None) -> str:
-    name = mesh_file.name if mesh_file is not None else "the built-in mean face"
-    seconds = len(audio.samples) / audio.sample_rate_hz
-    return f"{seconds:.2f} s of speech; {name}: {len(mesh.vertices)} vertices"
 
 
 def _size(output: Output) -> str:

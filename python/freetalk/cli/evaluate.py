@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 from freetalk._files import write_json
@@ -11,49 +12,57 @@ from freetalk.cli.parser import UsageError
 from freetalk.cli.score_options import AXES
 from freetalk.cli.weights import find_weights
 
-_FOLDERS = {"stm": ("stm",), "ats": ("speech", "ats"), "emotions": ("speech", "ats")}
+_STAGES = {"stm": ("stm",), "ats": ("speech", "ats"), "emotions": ("speech", "ats")}
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Scores predictions (--pred), or weights on the test split of a corpus (--data)."""
+    """Scores predictions (--pred), or weights on the test split of a dataset (--data)."""
     if arguments.pred:
         score(arguments)
         return
     if arguments.data is None:
         raise UsageError(
-            "give --data, a corpus to measure weights on, or --pred and --gt, predictions to score "
+            "give --data, a dataset to measure weights on, or --pred and --gt, predictions to score "
             "(see 'freetalk evaluate --help')"
         )
     measure(arguments)
 
 
 def measure(arguments: argparse.Namespace) -> None:
-    """Measures weights on the test split of a corpus and prints a table."""
-    if not (Path(arguments.data) / "manifest.json").is_file():
-        raise OSError(f"'{arguments.data}' is no corpus: make one with 'freetalk corpus build'")
+    """Measures weights on the test split of a dataset and prints a table."""
     if len(arguments.out) > 1:
         raise UsageError("scores of weights are written to one --out")
-    weights = _weights(arguments.pretrained, arguments.parts)
+    folder = _folder(arguments.data)
+    needed = {stage for part in arguments.parts for stage in _STAGES[part]}
+    weights = find_stages(arguments.pretrained, sorted(needed))
     for file in arguments.audio:
         check_readable(file, "a recording of speech")
     for file in arguments.out:
         check_writable(Path(file))
-    from freetalk.data import OpenCorpus
-    from freetalk.evaluate import open_corpus
+    from freetalk.data import open_dataset
+    from freetalk.evaluate import weights as scores_of
 
-    scores = open_corpus.measure(
-        OpenCorpus(arguments.data),
+    scores = scores_of.measure(
+        open_dataset(folder),
         weights,
         parts=arguments.parts,
         take=arguments.take,
         audio=[Path(file) for file in arguments.audio],
         samples=arguments.samples,
         steps=arguments.steps,
+        device=arguments.device,
     )
     print(weights)
-    print(open_corpus.table(scores))
+    print(scores_of.table(scores))
     for file in arguments.out:
         write_json(Path(file), scores)
+
+
+def find_stages(name: str, needed: Sequence[str]) -> Path:
+    """Installed weights by name, or a folder with the stages that are needed."""
+    if all((Path(name) / stage / "config.json").is_file() for stage in needed):
+        return Path(name)
+    return find_weights(name)
 
 
 def score(arguments: argparse.Namespace) -> None:
@@ -69,7 +78,7 @@ def score(arguments: argparse.Namespace) -> None:
 
     outputs = [Path(file) for file in arguments.out]
     for path in outputs:
-        if path.suffix not in FORMATS:
+        if path.suffix.lower() not in FORMATS:
             raise ValueError(f"'{path}' does not say what to write: end it in {', '.join(FORMATS)}")
         check_writable(path)
     truth = evaluate.open_ground_truth(
@@ -144,11 +153,3 @@ def _path(text: str | None) -> Path | None:
     if text is not None and not Path(text).exists():
         raise OSError(f"'{text}' does not exist")
     return None if text is None else Path(text)
-
-
-def _weights(name: str, parts: list[str]) -> Path:
-    """Installed weights by name, or a folder that training writes to."""
-    needed = {folder for part in parts for folder in _FOLDERS[part]}
-    if all((Path(name) / folder / "config.json").is_file() for folder in needed):
-        return Path(name)
-    return find_weights(name)

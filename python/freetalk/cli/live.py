@@ -13,7 +13,7 @@ import numpy as np
 
 from freetalk.cli.animate import Report, built_in_face
 from freetalk.cli.outputs import check_readable
-from freetalk.cli.weights import find_weights
+from freetalk.cli.weights import check_intensity, find_weights
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,6 +27,7 @@ BLOCK_S = 0.02
 def run(arguments: argparse.Namespace) -> None:
     """Feeds a live stream and prints frames per second and latency once a second."""
     weights = find_weights(arguments.pretrained)
+    check_intensity(arguments.intensity, weights)
     mesh_file = None
     if arguments.mesh is not None:
         mesh_file = check_readable(arguments.mesh, "a mesh (OBJ, PLY, OFF, STL or glTF)")

@@ -22,11 +22,11 @@ def positive(text: str) -> float:
     return value
 
 
-def intensity(text: str) -> float:
-    """A number from 1 to 3."""
+def at_least_one(text: str) -> float:
+    """A finite number of at least 1; how strong an emotion may be is for the weights to say."""
     value = number(text)
-    if not 1 <= value <= 3:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number from 1 (slight) to 3 (strong)")
+    if not (math.isfinite(value) and value >= 1):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a number of at least 1 (slight)")
     return value
 
 

@@ -1,4 +1,4 @@
-"""Where results go: understood and tried before any work begins."""
+"""What is read and where results go: understood and tried before any work begins."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from pathlib import Path
 
 ANIMATION_SUFFIXES = (".glb", ".gltf", ".npz", ".mp4")
 FRAME_SUFFIXES = (".obj", ".ply")
+AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".mp3")
+MESH_SUFFIXES = (".obj", ".ply", ".off", ".stl", ".gltf", ".glb")
 
 
 @dataclass(frozen=True)
@@ -103,3 +105,17 @@ def check_readable(path: str, what: str) -> Path:
     if not os.access(file, os.R_OK):
         raise OSError(f"'{path}' may not be read: change its permissions or give {what}")
     return file
+
+
+def inputs(path: str, suffixes: tuple[str, ...], what: str) -> list[Path]:
+    """An input file, or the files of a folder that end in one of `suffixes`, sorted.
+
+    Raises:
+        OSError: it is missing, empty or protected, or the folder has none.
+    """
+    if not Path(path).is_dir():
+        return [check_readable(path, what)]
+    found = [file for file in sorted(Path(path).iterdir()) if file.suffix.lower() in suffixes]
+    if not found:
+        raise OSError(f"the folder '{path}' holds no {', '.join(suffixes)}: give {what}")
+    return [check_readable(str(file), what) for file in found]

@@ -7,12 +7,15 @@ import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from freetalk.cli.numbers import intensity, natural, positive, seed
-from freetalk.cli.sampling import add_sampling
+from freetalk.cli.motion_options import DEFAULT_WEIGHTS, add_decoding, add_device, add_diffusion
+from freetalk.cli.numbers import at_least_one, positive, seed
+from freetalk.cli.score_options import add_evaluate, add_predict
 
 UNITS = ("auto", "m", "cm", "mm", "in")
 AXES = ("auto", "+x", "-x", "+y", "-y", "+z", "-z")
-DEFAULT_WEIGHTS = "open-small"
+_INTENSITY_HELP = (
+    "from 1 (slight) to the weights' strongest, 3 of the shipped; by default the middle"
+)
 
 
 class UsageError(Exception):
@@ -65,7 +68,12 @@ def make_parser() -> Parser:
     _add_animate(commands)
     _add_live(commands)
     _add_train(commands)
-    _add_evaluate(commands)
+    add_predict(
+        _command(commands, "predict", "predict:run", "write the motion that weights predict")
+    )
+    add_evaluate(
+        _command(commands, "evaluate", "evaluate:run", "score weights, or any system's predictions")
+    )
     _add_corpus(commands)
     _add_data(commands)
     _add_mesh(commands)
@@ -136,26 +144,30 @@ def _add_animate(commands: Any) -> None:
             "mesh a frame a folder: 'frames/' or 'frames/*.obj' (OBJ), 'frames/*.ply' (PLY). "
             "An emotion is a name, a mixture 'happy:0.7,surprise:0.3', or keyframes "
             "'0=neutral; 2.5=happy:0.7,surprise:0.3@2.5' (SECONDS=EMOTION@INTENSITY, the intensity "
-            "optional), between which it changes evenly."
+            "optional), between which it changes evenly. --audio and --mesh may be folders: every mesh speaks "
+            "every recording, into --out 'talks/{name}.glb', where {name} is RECORDING, MESH or RECORDING_MESH."
         ),
     )
     parser.add_argument(
-        "--audio", required=True, metavar="FILE", help="speech: WAV, FLAC, OGG, MP3"
+        "--audio",
+        required=True,
+        metavar="PATH",
+        help="speech: WAV, FLAC, OGG, MP3, or their folder",
     )
-    mesh_help = "face: OBJ, PLY, OFF, STL, glTF; without it the built-in mean face"
-    parser.add_argument("--mesh", metavar="FILE", help=mesh_help)
+    mesh_help = "face: OBJ, PLY, OFF, STL, glTF, or a folder; without it the built-in mean face"
+    parser.add_argument("--mesh", metavar="PATH", help=mesh_help)
     emotion_help = "a name such as neutral, happy or angry, a mixture, or keyframes (see above)"
     parser.add_argument("--emotion", default="neutral", help=emotion_help)
-    intensity_help = "1 (slight) to 3 (strong); by default the middle"
-    parser.add_argument("--intensity", type=intensity, help=intensity_help)
+    parser.add_argument("--intensity", type=at_least_one, metavar="X", help=_INTENSITY_HELP)
     parser.add_argument("--fps", type=positive, default=30.0, help="frames per second")
     parser.add_argument("--seed", type=seed, default=0, help="another seed, another performance")
-    add_sampling(parser)
+    add_diffusion(parser)
+    add_decoding(parser)
     _add_pose(parser)
     _add_pretrained(parser)
-    parser.add_argument(
-        "--out", action="append", required=True, metavar="PATH", help="where to write; repeatable"
-    )
+    add_device(parser)
+    out_help = "where to write; repeatable; for folders with {name} in it: 'talks/{name}.glb'"
+    parser.add_argument("--out", action="append", required=True, metavar="PATH", help=out_help)
     parser.add_argument("--size", type=picture_size, default="720x720", help="pixels of an .mp4")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
@@ -178,7 +190,7 @@ def _add_live(commands: Any) -> None:
     mesh_help = "face: OBJ, PLY, OFF, STL, glTF; without it the built-in mean face"
     parser.add_argument("--mesh", metavar="FILE", help=mesh_help)
     parser.add_argument("--emotion", default="neutral", help="as of 'freetalk animate'")
-    parser.add_argument("--intensity", type=intensity, help="1 (slight) to 3 (strong)")
+    parser.add_argument("--intensity", type=at_least_one, metavar="X", help=_INTENSITY_HELP)
     parser.add_argument("--seed", type=seed, default=0, help="another seed, another performance")
     parser.add_argument(
         "--vertices", action="store_true", help="also compute the vertices of every frame"
@@ -214,41 +226,6 @@ def _add_train(commands: Any) -> None:
         parser.add_argument(
             "overrides", nargs="*", metavar="section.key=value", help="wins over the configuration"
         )
-
-
-def _add_evaluate(commands: Any) -> None:
-    parser = _command(
-        commands,
-        "evaluate",
-        "evaluate:run",
-        "measure weights on a corpus, or score any system's predictions",
-        description=(
-            "With --data: measures weights on a corpus's test split. With --pred and --gt: scores folders "
-            "of predictions as FaceFormer, CodeTalker, ScanTalk, EmoVOCA and 'freetalk animate' write "
-            "them, with intervals and paired tests; the table names units and masks by count and hash."
-        ),
-    )
-    parser.add_argument("--data", metavar="DIR", help="the corpus")
-    parser.add_argument(
-        "--pretrained",
-        default=DEFAULT_WEIGHTS,
-        metavar="NAME",
-        help="name of installed weights, or a folder that 'freetalk train --out' wrote",
-    )
-    parts = ("stm", "ats", "emotions")
-    parser.add_argument("--parts", nargs="+", choices=parts, default=list(parts), help="what")
-    parser.add_argument("--take", default="1114_3_15", help="held-out take of recorded speech")
-    parser.add_argument(
-        "--audio", nargs="+", default=[], metavar="FILE", help="more speech, without motion"
-    )
-    parser.add_argument("--samples", type=natural, default=5, help="performances of the take")
-    steps_help = "denoising steps; by default those of the weights"
-    parser.add_argument("--steps", type=natural, default=None, help=steps_help)
-    out_help = "also write the scores; with --pred by ending: .json, .csv, .tex, .txt; repeatable"
-    parser.add_argument("--out", action="append", default=[], metavar="FILE", help=out_help)
-    from freetalk.cli.score_options import add_score_options
-
-    add_score_options(parser)
 
 
 def _add_corpus(commands: Any) -> None:

@@ -1,8 +1,11 @@
-"""The options of ``freetalk evaluate --pred``. Imports nothing heavy."""
+"""The options of ``freetalk predict`` and ``freetalk evaluate``. Imports nothing heavy."""
 
 from __future__ import annotations
 
 import argparse
+
+from freetalk.cli.motion_options import DEFAULT_WEIGHTS, add_device, add_diffusion
+from freetalk.cli.numbers import natural, seed
 
 AXES = {
     "+x": (1.0, 0.0, 0.0),
@@ -26,11 +29,62 @@ def share(text: str) -> float:
     return value
 
 
-def add_score_options(parser: argparse.ArgumentParser) -> None:
-    """Adds what scores predictions: which, against what, and how the result is written."""
+def add_predict(parser: argparse.ArgumentParser) -> None:
+    """Adds the options of ``freetalk predict``."""
+    parser.description = (
+        "Writes NAME.npz for each clip of a split, or NAME_sampleK.npz of several performances: displacements "
+        "(T, V, 3) in metres, which 'freetalk evaluate --pred DIR --gt DATA' scores. A stopped call goes on."
+    )
+    parser.add_argument("--data", required=True, metavar="DIR", help="a corpus or dataset")
+    parser.add_argument("--split", default="test", metavar="SPLIT", help="train, val or test")
+    parser.add_argument(
+        "--topology", metavar="NAME", help="of a dataset with several: a meshing, or landmarks"
+    )
+    parser.add_argument(
+        "--driver",
+        choices=("speech", "landmarks"),
+        default="speech",
+        help="what moves the faces: the clip's sound, or its recorded landmarks",
+    )
+    parser.add_argument("--samples", type=natural, default=1, help="performances of each clip")
+    parser.add_argument("--seed", type=seed, default=0, help="another seed, other performances")
+    add_diffusion(parser)
+    batch_help = "clips that are sampled together; by default 16 on a GPU, else one"
+    parser.add_argument("--batch", type=natural, default=argparse.SUPPRESS, help=batch_help)
+    _add_weights(parser)
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder to write")
+
+
+def add_evaluate(parser: argparse.ArgumentParser) -> None:
+    """Adds the options of ``freetalk evaluate``: which weights or predictions, against what, and how it is told."""
+    parser.description = (
+        "With --data: measures weights on a dataset's test split. With --pred and --gt: scores folders "
+        "of predictions as FaceFormer, CodeTalker, ScanTalk, EmoVOCA and 'freetalk predict' write "
+        "them, with intervals and paired tests; the table names units and masks by count and hash."
+    )
+    parser.add_argument("--data", metavar="DIR", help="a corpus or dataset")
+    _add_weights(parser)
+    parts = ("stm", "ats", "emotions")
+    parser.add_argument("--parts", nargs="+", choices=parts, default=list(parts), help="what")
+    take_help = "held-out take; by default the open corpus's captured one, else all of the split"
+    parser.add_argument("--take", help=take_help)
+    parser.add_argument(
+        "--audio", nargs="+", default=[], metavar="FILE", help="more speech, without motion"
+    )
+    parser.add_argument("--samples", type=natural, default=5, help="performances of the take")
+    steps_help = "denoising steps; by default those of the weights"
+    parser.add_argument("--steps", type=natural, default=None, help=steps_help)
+    out_help = "also write the scores; with --pred by ending: .json, .csv, .tex, .txt; repeatable"
+    parser.add_argument("--out", action="append", default=[], metavar="FILE", help=out_help)
     _add_inputs(parser.add_argument_group("predictions of any system (--pred)"))
     _add_reading(parser.add_argument_group("how predictions are read"))
     _add_statistics(parser.add_argument_group("intervals and tests"))
+
+
+def _add_weights(parser: argparse.ArgumentParser) -> None:
+    weights_help = "name of installed weights, or a folder that 'freetalk train --out' wrote"
+    parser.add_argument("--pretrained", default=DEFAULT_WEIGHTS, metavar="NAME", help=weights_help)
+    add_device(parser)
 
 
 def _add_inputs(group: argparse._ArgumentGroup) -> None:

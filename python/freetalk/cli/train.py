@@ -35,5 +35,7 @@ def run(arguments: argparse.Namespace) -> None:
         scores = ", ".join(f"{name} {value:.4g}" for name, value in result.scores.items())
         print(f"{result.status} at step {result.step}: {scores or 'no validation yet'}")
         print(f"weights in {result.directory}")
+        ready = f"`freetalk animate --pretrained {arguments.out}` takes this folder"
+        print(result.lacking or ready)
     if result.status == "interrupted":
         raise SystemExit(EXIT_STOPPED)

@@ -1,4 +1,4 @@
-"""Installed weights, found by name or folder."""
+"""What the command line reads of weights before anything heavy is imported."""
 
 from __future__ import annotations
 
@@ -6,22 +6,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from freetalk._pretrained import PRETRAINED, installed
+from freetalk._pretrained import find_weights, installed
 
-__all__ = ["PRETRAINED", "find_weights", "installed", "motion_options"]
-
-
-def find_weights(name: str) -> Path:
-    """Folder of weights given by name or as a folder.
-
-    Raises:
-        ValueError: There are none of this name; the message lists those that are installed.
-    """
-    for folder in (Path(name), PRETRAINED / name):
-        if (folder / "talker.json").is_file():
-            return folder
-    known = ", ".join(folder.name for folder in installed()) or "none"
-    raise ValueError(f"no weights '{name}': neither a folder with talker.json nor one of: {known}")
+__all__ = ["check_intensity", "find_weights", "installed", "motion_options"]
 
 
 def motion_options(folder: Path) -> dict[str, Any]:
@@ -29,3 +16,16 @@ def motion_options(folder: Path) -> dict[str, Any]:
     config: dict[str, Any] = json.loads((folder / "ats" / "config.json").read_text())
     options: dict[str, Any] = config["options"]
     return options
+
+
+def check_intensity(given: float | None, folder: Path) -> None:
+    """Makes sure that the weights know an intensity as strong.
+
+    Raises:
+        ValueError: they do not.
+    """
+    if given is None:
+        return
+    most = motion_options(folder).get("num_intensities", 3)
+    if given > most:
+        raise ValueError(f"--intensity {given:g}: these weights know 1 (slight) to {most} (strong)")

@@ -197,24 +197,24 @@ def _embedded(face_rows: Any, weights: Any, faces: npt.NDArray[Any], path: Path)
 
 def _content(path: Path) -> Any:
     """What a file holds: an array, a list or a mapping."""
-    if path.suffix == ".json":
+    if path.suffix.lower() == ".json":
         return json.loads(path.read_text())
-    if path.suffix == ".txt":
+    if path.suffix.lower() == ".txt":
         text = re.sub(r"#[^\n]*", " ", path.read_text())
         try:
             return np.array([int(word) for word in re.split(r"[\s,;]+", text) if word])
         except ValueError as error:
             raise DatasetError(f"{path} is no list of whole numbers: {error}") from error
-    if path.suffix == ".pkl":
+    if path.suffix.lower() == ".pkl":
         return load_pickle(path)
-    if path.suffix == ".mat":
+    if path.suffix.lower() == ".mat":
         from scipy.io import loadmat  # only these files need SciPy
 
         arrays = [v for k, v in loadmat(path).items() if not k.startswith("__")]
         if len(arrays) != 1:
             raise DatasetError(f"{path} holds {len(arrays)} arrays; expected one of indices")
         return _integers(np.asarray(arrays[0]).ravel(), path) - 1
-    if path.suffix == ".npz":
+    if path.suffix.lower() == ".npz":
         with np.load(path, allow_pickle=False) as archive:
             names = archive.files
             return archive[names[0]] if len(names) == 1 else {name: archive[name] for name in names}

@@ -161,6 +161,8 @@ class FolderTruth:
         self.kind = self._kind_of(first, self.names[0], settings.kind, self._scale)
         self._phones = _read_json(settings.phones)
         self._emotions = _read_json(settings.emotions)
+        found = [] if settings.wav is None else sorted(settings.wav.iterdir())
+        self._sounds = {p.stem: p for p in found if p.suffix.lower() in _AUDIO_SUFFIXES}
 
     @property
     def has_neutral(self) -> bool:
@@ -191,14 +193,10 @@ class FolderTruth:
 
     def audio(self, name: str) -> tuple[FloatArray, float] | None:
         """Samples and rate of the recording of that name."""
-        if self.settings.wav is None:
+        if name not in self._sounds:
             return None
-        for suffix in _AUDIO_SUFFIXES:
-            path = self.settings.wav / f"{name}{suffix}"
-            if path.is_file():
-                sound = load_audio(path)
-                return np.asarray(sound.samples, dtype=np.float32), float(sound.sample_rate_hz)
-        return None
+        sound = load_audio(self._sounds[name])
+        return np.asarray(sound.samples, dtype=np.float32), float(sound.sample_rate_hz)
 
     def emotion(self, name: str) -> str | None:
         """The label of a sequence."""

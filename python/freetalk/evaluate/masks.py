@@ -84,9 +84,9 @@ def read_lip_pairs(path: Path, num_vertices: int) -> Pairs:
         ValueError: not (P, 2), or an index beyond V.
     """
     values: Sequence[Any] | npt.NDArray[Any]
-    if path.suffix == ".json":
+    if path.suffix.lower() == ".json":
         values = json.loads(path.read_text())
-    elif path.suffix == ".npy":
+    elif path.suffix.lower() == ".npy":
         values = np.load(path, allow_pickle=False)
     else:
         values = np.loadtxt(path, delimiter="," if "," in path.read_text() else None, ndmin=2)
@@ -117,6 +117,6 @@ def _names_of(path: Path) -> list[str]:
     found = [name for name, words in _WORDS.items() if any(word in stem for word in words)]
     if len(found) == 1:
         return found
-    if path.suffix in (".json", ".npz", ".pkl") and not found:
+    if path.suffix.lower() in (".json", ".npz", ".pkl") and not found:
         return list(_REGIONS)
     raise ValueError(f"which mask is {path}? Say so: lips={path} or upper={path}")

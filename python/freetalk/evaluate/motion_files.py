@@ -120,7 +120,7 @@ def motion_paths(directory: Path) -> list[Path]:
     """The motion files of a folder, sorted."""
     if not directory.is_dir():
         raise FileNotFoundError(f"{directory} is no folder")
-    return sorted(path for path in directory.iterdir() if path.suffix in SUFFIXES)
+    return sorted(path for path in directory.iterdir() if path.suffix.lower() in SUFFIXES)
 
 
 def read_motion(path: Path, num_vertices: int | None = None) -> MotionFile:
@@ -136,7 +136,7 @@ def read_motion(path: Path, num_vertices: int | None = None) -> MotionFile:
     """
     is_displacement: bool | None = None
     stated = Stated()
-    if path.suffix == ".npz":
+    if path.suffix.lower() == ".npz":
         with np.load(path, allow_pickle=False) as archive:
             key = next((name for name in _KEYS if name in archive.files), None)
             if key is None and len(archive.files) != 1:
@@ -162,7 +162,7 @@ def read_motion(path: Path, num_vertices: int | None = None) -> MotionFile:
 
 def read_stated(path: Path) -> Stated:
     """What a file says of its numbers, without reading its motion."""
-    if path.suffix != ".npz":
+    if path.suffix.lower() != ".npz":
         return Stated()
     with np.load(path, allow_pickle=False) as archive:
         return _stated(archive, path)
@@ -301,8 +301,12 @@ def read_templates(path: Path) -> dict[str, FloatArray]:
     if path.is_dir():
         files = [p for p in sorted(path.iterdir()) if p.suffix.lower() in (".obj", ".ply", ".npy")]
         faces = {file.stem: _single(file) for file in files}
-    elif path.suffix in (".pkl", ".npz"):
-        held = load_pickle(path) if path.suffix == ".pkl" else np.load(path, allow_pickle=False)
+    elif path.suffix.lower() in (".pkl", ".npz"):
+        held = (
+            load_pickle(path)
+            if path.suffix.lower() == ".pkl"
+            else np.load(path, allow_pickle=False)
+        )
         if not hasattr(held, "items"):
             raise DatasetError(f"{path} holds no speakers and their faces")
         faces = {str(name): np.asarray(points).reshape(-1, 3) for name, points in held.items()}
@@ -314,7 +318,7 @@ def read_templates(path: Path) -> dict[str, FloatArray]:
 
 
 def _single(path: Path) -> FloatArray:
-    if path.suffix != ".npy":
+    if path.suffix.lower() != ".npy":
         return read_mesh(path)[0]
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}")

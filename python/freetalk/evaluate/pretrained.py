@@ -1,21 +1,45 @@
-"""A folder of weights, as training writes it and the package ships it, opened for evaluation."""
+"""A folder of weights, as training writes it and the package ships it, opened for evaluation on one device."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
-from freetalk.ats import Ats, GenerateOptions, generate
+from freetalk.ats import Ats, GenerateOptions, generate, generate_batch
+from freetalk.data import MotionDataset, MotionSequence, interpolate_frames
 from freetalk.speech import SpeechEncoder, encode_speech
-from freetalk.stm import Stm
+from freetalk.stm import FrameDecoder, Stm
+from freetalk.train.stm_meshes import prepare_mesh
 
 FloatArray = npt.NDArray[np.float32]
+
+#: Faces whose operators and features stay in memory.
+_KEPT_FACES = 16
+#: Clips that a GPU samples together.
+_CLIPS_ON_GPU = 16
+
+
+def device_of(name: torch.device | str | None) -> torch.device:
+    """The device that a name means; ``None`` and ``auto``: a GPU where there is one.
+
+    Raises:
+        ValueError: no such device, or CUDA is asked for and absent.
+    """
+    if name is None or name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+    except RuntimeError as error:
+        raise ValueError(f"unknown device {name!r}: give cpu, cuda or cuda:N") from error
+    if device.type == "cuda" and not torch.cuda.is_available():
+        raise ValueError(f"device {name} is asked for, but this machine has no usable GPU")
+    return device
 
 
 class SpeechToMotion:
@@ -25,7 +49,7 @@ class SpeechToMotion:
         encoder: folder of the speech encoder.
         ats: folder of the audio-to-landmarks stage.
         sampling: fields of ``GenerateOptions``.
-        device: where it runs; ``None``: a GPU where there is one.
+        device: where it runs, see :func:`device_of`.
     """
 
     def __init__(
@@ -35,7 +59,7 @@ class SpeechToMotion:
         sampling: Mapping[str, object],
         device: torch.device | str | None = None,
     ) -> None:
-        self.device = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
+        self.device = device_of(device)
         self.encoder = SpeechEncoder.from_pretrained(encoder).to(self.device).eval()
         self.ats = Ats.from_pretrained(ats).to(self.device).eval()
         self.options = GenerateOptions.from_dict(dict(sampling))
@@ -43,17 +67,23 @@ class SpeechToMotion:
         self.emotions = tuple(self.ats.options.emotions)
 
     @classmethod
-    def of(cls, directory: str | Path, num_steps: int | None = None) -> SpeechToMotion:
+    def of(
+        cls,
+        directory: str | Path,
+        sampling: Mapping[str, object] | None = None,
+        device: torch.device | str | None = None,
+    ) -> SpeechToMotion:
         """Of a folder with ``speech`` and ``ats``.
 
         Args:
             directory: the folder; its ``talker.json`` says how the weights want to be sampled.
-            num_steps: denoising steps; by default those of the weights.
+            sampling: fields of ``GenerateOptions`` that win over it.
+            device: see :func:`device_of`.
         """
-        own = _sampling(directory)
-        if num_steps is not None:
-            own["num_steps"] = num_steps
-        return cls(Path(directory) / "speech", Path(directory) / "ats", own)
+        path = Path(directory)
+        about = path / "talker.json"
+        own = json.loads(about.read_text()).get("generate", {}) if about.is_file() else {}
+        return cls(path / "speech", path / "ats", {**own, **(sampling or {})}, device)
 
     def features(self, wave: FloatArray) -> torch.Tensor:
         """Speech features at the motion's frames, (T, C), on the device."""
@@ -67,30 +97,96 @@ class SpeechToMotion:
         seed: int = 0,
     ) -> FloatArray:
         """Landmark displacements, (T, 68, 3) m."""
-        mixture = torch.zeros(len(self.emotions), device=self.device)
-        mixture[self.emotions.index(emotion)] = 1.0
-        with torch.no_grad():
-            motion = generate(
-                self.ats,
-                features,
-                emotion=mixture,
-                intensity=intensity,
-                options=self.options,
-                seed=seed,
-            )
+        motion = generate(
+            self.ats,
+            features,
+            emotion=self.mixture(emotion),
+            intensity=intensity,
+            options=self.options,
+            seed=seed,
+        )
         result: FloatArray = motion.cpu().numpy()
         return result
 
+    def mixture(self, emotion: str) -> torch.Tensor:
+        """(E,) of one emotion.
 
-def _sampling(directory: str | Path) -> dict[str, Any]:
-    """How the weights want to be sampled, as their ``talker.json`` says."""
-    description = Path(directory) / "talker.json"
-    if not description.is_file():
-        return {}
-    own: dict[str, Any] = json.loads(description.read_text()).get("generate", {})
-    return own
+        Raises:
+            ValueError: the weights do not know it.
+        """
+        if emotion not in self.emotions:
+            raise ValueError(f"the weights know no emotion {emotion!r}: {', '.join(self.emotions)}")
+        mixture = torch.zeros(len(self.emotions), device=self.device)
+        mixture[self.emotions.index(emotion)] = 1.0
+        return mixture
+
+    def perform(
+        self,
+        dataset: MotionDataset,
+        clips: Sequence[MotionSequence],
+        seeds: Sequence[Sequence[int]],
+        batch: int = 0,
+    ) -> Iterator[tuple[MotionSequence, FloatArray]]:
+        """Landmark motion of clips from their sound, under their own emotions.
+
+        Args:
+            dataset: whose clips they are.
+            clips: with sound.
+            seeds: K a clip, of as many performances.
+            batch: clips that are sampled together; 0: 16 on a GPU, else one.
+
+        Yields:
+            Clip and displacements (K, T, 68, 3) m, at the clip's frame rate.
+        """
+        size = batch or (1 if self.device.type == "cpu" else _CLIPS_ON_GPU)
+        for first in range(0, len(clips), size):
+            chosen = clips[first : first + size]
+            made = generate_batch(
+                self.ats,
+                [self.features(dataset.audio(clip)) for clip in chosen],
+                emotion=torch.stack([self.mixture(dataset.emotions[c.emotion]) for c in chosen]),
+                intensity=torch.tensor([float(c.intensity) for c in chosen], device=self.device),
+                options=self.options,
+                seeds=seeds[first : first + size],
+            )
+            for clip, motions in zip(chosen, made, strict=True):
+                moved = [_at_rate(motion, self.fps, clip) for motion in motions.cpu().numpy()]
+                yield clip, np.stack(moved)
 
 
-def load_stm(directory: str | Path) -> Stm:
-    """The landmarks-to-mesh network of a folder of weights."""
-    return Stm.from_pretrained(Path(directory) / "stm").eval()
+class LandmarksToMesh:
+    """STM on one device: moves the faces of datasets.
+
+    Args:
+        directory: folder of the landmarks-to-mesh stage.
+        device: see :func:`device_of`.
+    """
+
+    def __init__(self, directory: str | Path, device: torch.device | str | None = None) -> None:
+        self.device = device_of(device)
+        self.stm = Stm.from_pretrained(directory).to(self.device).eval()
+        keep = lru_cache(maxsize=_KEPT_FACES)
+        self._prepared: Callable[..., FrameDecoder] = keep(self._prepare)
+
+    def vertices(
+        self, dataset: MotionDataset, identity: int, topology: str, landmarks: FloatArray
+    ) -> torch.Tensor:
+        """Vertex displacements (T, V, 3) m, on the CPU, of landmark displacements (T, 68, 3) m."""
+        decoder = self._prepared(dataset, identity, topology)
+        motion = torch.from_numpy(np.ascontiguousarray(landmarks, dtype=np.float32))
+        return decoder.decode(motion.to(self.device)).float().cpu()
+
+    def _prepare(self, dataset: MotionDataset, identity: int, topology: str) -> FrameDecoder:
+        options = self.stm.options
+        mesh = prepare_mesh(
+            dataset, identity, topology, options.length_scale, options.k_eig, device=self.device
+        )
+        with torch.no_grad():
+            features = self.stm.encode(mesh.positions, mesh.operators)
+        return self.stm.frame_decoder(features, mesh.operators)
+
+
+def _at_rate(motion: FloatArray, fps: float, clip: MotionSequence) -> FloatArray:
+    """Motion at `fps` as the clip's frames, linear in between."""
+    at = np.arange(clip.num_frames) * fps / clip.fps
+    return interpolate_frames(motion, at[at <= len(motion) - 1 + 1e-6])

@@ -168,9 +168,9 @@ def write_report(report: Report, path: Path) -> None:
     Raises:
         ValueError: no such format.
     """
-    if path.suffix not in FORMATS:
+    if path.suffix.lower() not in FORMATS:
         raise ValueError(f"'{path}' does not say what to write: end it in {', '.join(FORMATS)}")
-    write_text(path, FORMATS[path.suffix](report))
+    write_text(path, FORMATS[path.suffix.lower()](report))
 
 
 def _cells(score: dict[str, Any] | None) -> list[str]:

@@ -37,7 +37,9 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
         raise SystemExit(
             "at size full the tables need the papers' speech encoder: give --speech DIR"
         )
-    run = TableRun(table, catalogue, given.work / size.name, given.speech, size.sampler)
+    run = TableRun(
+        table, catalogue, given.work / size.name, given.speech, size.sampler, given.device
+    )
     try:
         seeds = range(given.seed, given.seed + (given.seeds or size.seeds))
         rows = run.rows(given.rows, seeds)
@@ -95,6 +97,9 @@ def _parser(name: str) -> argparse.ArgumentParser:
         help="another system's predictions of the test clips; repeatable",
     )
     parser.add_argument("--speech", default="", help="folder of the speech encoder")
+    parser.add_argument(
+        "--device", help="where rows are scored: cpu, cuda or cuda:N; a GPU where there is one"
+    )
     parser.add_argument("--seed", type=int, default=0, help="the first seed")
     parser.add_argument(
         "--seeds",

@@ -12,24 +12,20 @@ import torch
 from tqdm import tqdm
 
 from freetalk import metrics
-from freetalk.data import FaceMesh, MotionSequence, interpolate_frames
+from freetalk.data import FaceMesh, MotionSequence
 from freetalk.evaluate.dataset_truth import origin_of
 from freetalk.evaluate.masks import landmark_masks
 from freetalk.evaluate.metric_specs import spec_of
 from freetalk.evaluate.motion_files import Origin
-from freetalk.evaluate.pretrained import SpeechToMotion
-from freetalk.stm import Stm
+from freetalk.evaluate.pretrained import LandmarksToMesh, SpeechToMotion
 from freetalk.tables.views import DatasetView
 from freetalk.train.ats_inputs import named_encoder
-from freetalk.train.stm_meshes import PreparedMesh, prepare_mesh
 
 FloatArray = npt.NDArray[np.float32]
 Masks = Mapping[str, torch.Tensor]
 
 #: How much the error of neighbouring vertices of the lips differs: what makes a surface look noisy.
 ROUGHNESS = "roughness"
-#: Working memory of a decoder.
-_MEMORY_BYTES = 256 << 20
 
 
 @dataclass
@@ -140,96 +136,52 @@ def _landmark_masks() -> Masks:
     return {name: torch.from_numpy(mask.indices) for name, mask in landmark_masks().items()}
 
 
-class MeshScorer:
-    """Moves the test faces of datasets by landmarks and scores the meshes.
-
-    Args:
-        directory: weights of the landmarks-to-mesh stage.
-        names: metrics.
-    """
-
-    def __init__(self, directory: Path, names: Sequence[str]) -> None:
-        self._stm = Stm.from_pretrained(directory).eval()
-        self._names = names
-        self._faces: dict[tuple[str, int, str], tuple[PreparedMesh, Masks]] = {}
-
-    def score(
-        self,
-        view: DatasetView,
-        landmarks: Callable[[MotionSequence], FloatArray],
-    ) -> ClipScores:
-        """Scores of the test clips moved by the given landmarks, (T, 68, 3) m at the view's rate."""
-        scores = ClipScores()
-        decoders = {}
-        for clip, identity, topology in tqdm(
-            view.faces_of("test"), desc=f"score {view.name}", leave=False
-        ):
-            mesh, masks = self._face(view, identity, topology)
-            if (identity, topology) not in decoders:
-                with torch.no_grad():
-                    features = self._stm.encode(mesh.positions, mesh.operators)
-                decoders[identity, topology] = self._stm.frame_decoder(
-                    features, mesh.operators, memory_bytes=_MEMORY_BYTES
-                )
-            motion = torch.from_numpy(landmarks(clip))
-            guess = decoders[identity, topology].decode(motion)
-            true = torch.from_numpy(view.vertex_displacements(topology, clip, 0, len(motion)))
-            length = min(len(guess), len(true))
-            found = values_of(guess[:length], true[:length], self._names, masks)
-            scores.add(clip, length, found)
-        return scores
-
-    def _face(self, view: DatasetView, identity: int, topology: str) -> tuple[PreparedMesh, Masks]:
-        key = (view.name, identity, topology)
-        if key not in self._faces:
-            options = self._stm.options
-            prepared = prepare_mesh(view, identity, topology, options.length_scale, options.k_eig)
-            masks = face_masks(view.mesh(identity, topology))
-            self._faces[key] = (prepared, masks)
-        return self._faces[key]
+def mesh_scores(
+    model: LandmarksToMesh,
+    view: DatasetView,
+    names: Sequence[str],
+    landmarks: Callable[[MotionSequence], FloatArray],
+) -> ClipScores:
+    """Scores of the test clips moved by the given landmarks, (T, 68, 3) m at the view's rate."""
+    scores = ClipScores()
+    masks: dict[tuple[int, str], Masks] = {}
+    for clip, identity, topology in tqdm(
+        view.faces_of("test"), desc=f"score {view.name}", leave=False
+    ):
+        face = identity, topology
+        if face not in masks:
+            masks[face] = face_masks(view.mesh(identity, topology))
+        guess = model.vertices(view, identity, topology, landmarks(clip))
+        true = torch.from_numpy(view.vertex_displacements(topology, clip, 0, len(guess)))
+        length = min(len(guess), len(true))
+        scores.add(clip, length, values_of(guess[:length], true[:length], names, masks[face]))
+    return scores
 
 
-class Speaker:
-    """Landmarks of test clips from their sound, each clip with a seed of its own; kept for further rows.
+def landmark_scores(
+    view: DatasetView, names: Sequence[str], landmarks: Callable[[MotionSequence], FloatArray]
+) -> ClipScores:
+    """Scores of landmarks, (T, 68, 3) m at the view's rate, on the test clips."""
+    masks = _landmark_masks()
+    scores = ClipScores()
+    for clip in view.sequences("test"):
+        guess = torch.from_numpy(landmarks(clip))
+        true = torch.from_numpy(view.landmarks(clip, 0, len(guess)))
+        length = min(len(guess), len(true))
+        scores.add(clip, length, values_of(guess[:length], true[:length], names, masks))
+    return scores
 
-    Args:
-        directory: weights of the audio-to-landmarks stage.
-        encoder: folder of the speech encoder; empty: the shipped one.
-        sampler: fields of ``GenerateOptions``.
-    """
 
-    def __init__(self, directory: Path, encoder: str, sampler: Mapping[str, object]) -> None:
-        self._model = SpeechToMotion(encoder_folder(encoder), directory, sampler)
-        self._made: dict[tuple[str, str], FloatArray] = {}
-
-    def landmarks(self, view: DatasetView, clip: MotionSequence, seed: int) -> FloatArray:
-        """(T, 68, 3) m at the view's frame rate."""
-        if (view.name, clip.id) not in self._made:
-            features = self._model.features(view.audio(clip))
-            emotion = view.emotions[clip.emotion]
-            motion = self._model.motion(features, emotion, float(clip.intensity), seed)
-            self._made[view.name, clip.id] = _at_rate(motion, self._model.fps, clip)
-        return self._made[view.name, clip.id]
-
-    def score(self, view: DatasetView, names: Sequence[str]) -> ClipScores:
-        """Scores of the landmarks themselves on the test clips."""
-        masks = _landmark_masks()
-        scores = ClipScores()
-        for seed, clip in enumerate(tqdm(view.sequences("test"), desc=view.name, leave=False)):
-            guess = torch.from_numpy(self.landmarks(view, clip, seed))
-            true = torch.from_numpy(view.landmarks(clip, 0, len(guess)))
-            length = min(len(guess), len(true))
-            found = values_of(guess[:length], true[:length], names, masks)
-            scores.add(clip, length, found)
-        return scores
+def spoken(model: SpeechToMotion, view: DatasetView) -> dict[str, FloatArray]:
+    """Landmarks (T, 68, 3) m of the test clips from their sound, each with a seed of its own."""
+    clips = view.sequences("test")
+    made = model.perform(view, clips, [[seed] for seed in range(len(clips))])
+    return {
+        clip.id: motion[0]
+        for clip, motion in tqdm(made, desc=f"speak {view.name}", total=len(clips), leave=False)
+    }
 
 
 def encoder_folder(given: str) -> Path:
     """Folder of the speech encoder, given as a folder or a name; the shipped one where none is given."""
     return named_encoder(given or "open-small")
-
-
-def _at_rate(motion: FloatArray, fps: float, clip: MotionSequence) -> FloatArray:
-    """Motion at `fps` as the clip's frames, linear in between."""
-    at = np.arange(clip.num_frames) * fps / clip.fps
-    return interpolate_frames(motion, at[at <= len(motion) - 1 + 1e-6])

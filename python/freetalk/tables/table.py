@@ -14,16 +14,20 @@ from typing import Any
 from tqdm import tqdm
 
 from freetalk._files import content_hash, write_json
+from freetalk.data import MotionSequence
 from freetalk.evaluate import PredictionSettings, score_predictions
 from freetalk.evaluate.dataset_truth import DatasetTruth
 from freetalk.evaluate.metric_specs import spec_of
+from freetalk.evaluate.pretrained import LandmarksToMesh, SpeechToMotion
 from freetalk.tables.claims import Claim
 from freetalk.tables.scoring import (
     ROUGHNESS,
     ClipScores,
-    MeshScorer,
-    Speaker,
+    FloatArray,
     encoder_folder,
+    landmark_scores,
+    mesh_scores,
+    spoken,
     still_face,
 )
 from freetalk.tables.sets import Catalogue
@@ -100,6 +104,7 @@ class TableRun:
         work: folder of trainings and rows, which a later call goes on from.
         encoder: folder of the speech encoder; empty: the shipped one.
         sampler: fields of ``GenerateOptions``.
+        device: where rows are scored; ``None``: a GPU where there is one.
 
     Raises:
         ValueError: a test set is not given, or lacks a mask.
@@ -112,16 +117,17 @@ class TableRun:
         work: Path,
         encoder: str = "",
         sampler: Mapping[str, object] | None = None,
+        device: str | None = None,
     ) -> None:
         self.table, self.catalogue, self.work = table, catalogue, work
-        self._encoder, self._sampler = encoder, dict(sampler or {})
+        self._encoder, self._sampler, self._device = encoder, dict(sampler or {}), device
         self._views = {name: catalogue.view(name, table.view) for name in table.tests}
         for name, view in self._views.items():
             if not view.faces_of("test"):
                 raise ValueError(f"{name} has no test clip; {catalogue.describe().get(name, name)}")
         if any(row.stm is not None for row in table.rows):
             self._check_masks()
-        self._speakers: dict[str, Speaker] = {}
+        self._made: dict[tuple[str, str], dict[str, FloatArray]] = {}
 
     def rows(self, only: Sequence[str] = (), seeds: Sequence[int] = (0,)) -> list[RowResult]:
         """Results of all rows, or of those named, averaged over seeds; finished ones are read back.
@@ -224,21 +230,25 @@ class TableRun:
         names = self.table.metrics
         if not trained:
             return still_face(view, names, all(one.stm is None for one in self.table.rows))
-        speaker = self._speaker(trained["ats"].directory) if "ats" in trained else None
-        if "stm" not in trained:
-            assert speaker is not None
-            return speaker.score(view, names)
-        scorer = MeshScorer(trained["stm"].directory, names)
-        if speaker is None:
-            return scorer.score(view, view.landmarks)
-        seeds = {clip.id: at for at, clip in enumerate(view.sequences("test"))}
-        return scorer.score(view, lambda clip: speaker.landmarks(view, clip, seeds[clip.id]))
+        made = self._spoken(trained["ats"].directory, view) if "ats" in trained else None
 
-    def _speaker(self, directory: Path) -> Speaker:
-        key = str(directory)
-        if key not in self._speakers:
-            self._speakers[key] = Speaker(directory, self._encoder, self._sampler)
-        return self._speakers[key]
+        def landmarks(clip: MotionSequence) -> FloatArray:
+            return view.landmarks(clip) if made is None else made[clip.id]
+
+        if "stm" not in trained:
+            return landmark_scores(view, names, landmarks)
+        return mesh_scores(
+            LandmarksToMesh(trained["stm"].directory, self._device), view, names, landmarks
+        )
+
+    def _spoken(self, directory: Path, view: DatasetView) -> dict[str, FloatArray]:
+        """Landmarks of a view's test clips, made once for all rows that share the weights."""
+        key = (str(directory), view.name)
+        if key not in self._made:
+            encoder = encoder_folder(self._encoder)
+            model = SpeechToMotion(encoder, directory, self._sampler, self._device)
+            self._made[key] = spoken(model, view)
+        return self._made[key]
 
     def _path(self, row: Row) -> Path:
         name = "".join(c if c.isalnum() else "_" for c in row.name).strip("_")

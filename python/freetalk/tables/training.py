@@ -9,16 +9,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from freetalk._files import content_hash, write_json
 from freetalk.tables.scoring import encoder_folder
 from freetalk.tables.sets import Catalogue
 from freetalk.tables.views import ViewOptions
 from freetalk.train.config import load_config
-from freetalk.train.engine import Engine
-from freetalk.train.loop import Trainer
-from freetalk.train.run import make_task
+from freetalk.train.run import train_dataset
 from freetalk.train.task_options import AtsTaskOptions
 
 
@@ -84,17 +80,10 @@ def train(training: Training, catalogue: Catalogue, work: Path) -> Trained:
     if done.is_file():
         return Trained(out / training.kind, key, json.loads(done.read_text()))
     overrides = [f"task.feature_cache={work / 'features'}"] if training.kind == "ats" else []
-    corpus = catalogue.mixture(training.sets, training.view)
-    corpus.check()
     config = load_config(training.kind, training.config, [*training.overrides, *overrides])
-    engine = Engine(config.loop)
-    if config.loop.threads > 0:
-        torch.set_num_threads(config.loop.threads)
-    with engine.main_first():
-        task = make_task(config, corpus, out, engine.device)
+    corpus = catalogue.mixture(training.sets, training.view)
     began = time.perf_counter()
-    trainer = Trainer(task, config, out, corpus.fingerprint, f"table row {training.kind}", engine)
-    result = trainer.run()
+    result = train_dataset(config, lambda: corpus, out, f"table row {training.kind}")
     if result.status != "finished":
         raise StoppedError(f"{out} stopped after step {result.step}")
     record = {
@@ -107,7 +96,7 @@ def train(training: Training, catalogue: Catalogue, work: Path) -> Trained:
         "seed": config.loop.seed,
         "steps": result.step,
         "minutes": round((time.perf_counter() - began) / 60, 2),
-        "parameters": sum(p.numel() for p in task.model.parameters()),
+        "parameters": result.parameters,
         "validation": result.scores,
         "data": corpus.describe(),
     }

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import torch
 
 from freetalk import _native
-from freetalk._pretrained import PRETRAINED, installed
+from freetalk._pretrained import PRETRAINED, find_weights
 from freetalk._progress import Progress, StageProgress
 from freetalk.animation import Animation
 from freetalk.ats import Emotion, emotion_text
@@ -65,17 +64,10 @@ class Talker:
             device: such as "cpu" or "cuda"; by default the GPU if there is one.
 
         Raises:
-            ValueError: no such weights.
+            ValueError: no such weights, or the folder lacks a stage; the message says which.
             RuntimeError: a file is missing, broken or does not fit.
         """
-        folder = Path(name_or_dir)
-        if not folder.is_dir() and (PRETRAINED / folder / "talker.json").is_file():
-            folder = PRETRAINED / folder
-        if not folder.is_dir():
-            known = ", ".join(file.name for file in installed())
-            raise ValueError(
-                f"no weights '{name_or_dir}': neither a folder nor one of: {known or 'none shipped'}"
-            )
+        folder = find_weights(name_or_dir)
         return cls(_native.talker.Talker.from_pretrained(folder, device))
 
     @property

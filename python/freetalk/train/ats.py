@@ -20,14 +20,13 @@ from freetalk.data import (
     lip_opening,
 )
 from freetalk.data.landmarks import (
-    EYES,
     INNER_LIP_PAIRS,
-    LIPS,
     LOWER_INNER_LIP,
     UPPER_FACE,
     UPPER_INNER_LIP,
 )
 from freetalk.diffusion import Schedule, ScheduleOptions
+from freetalk.train.assemble import encoder_record
 from freetalk.train.ats_inputs import audible, frame_rate, speech_encoder
 from freetalk.train.checkpoint import export_model
 from freetalk.train.checks import NO_VALIDATION
@@ -37,12 +36,13 @@ from freetalk.train.losses import (
     MILLIMETRES,
     closure_error,
     closures,
+    landmark_weights,
     motion_counts,
     motion_loss,
 )
 from freetalk.train.mosaic import FloatArray, Mosaics, blended
-from freetalk.train.samples import MeanFace, Sample
-from freetalk.train.sampling import Epochs, SequenceSampler, numpy_generator, present_weights
+from freetalk.train.previews import MeanFace, Sample
+from freetalk.train.sequences import Epochs, SequenceSampler, numpy_generator, present_weights
 from freetalk.train.task_options import AtsTaskOptions
 
 _VALIDATION_SEED = 30
@@ -77,6 +77,7 @@ class AtsTask:
         if not self.held_out:
             raise ValueError(NO_VALIDATION.format(corpus.name, "sequences with sound"))
         encoder = speech_encoder(self.options, out)
+        self._encoder = encoder_record(encoder)
         self.features = FeatureCache(
             self.corpus,
             [*self.sampler.sequences, *self.held_out],
@@ -109,7 +110,9 @@ class AtsTask:
             self.sampler.sequences, self.model_options.max_frames, config.loop.seed
         )
         self._in_epochs = config.loop.epochs > 0
-        self.point_weights = self._landmark_weights()
+        self.point_weights = landmark_weights(
+            self.options.lip_weight, self.options.eye_weight, device
+        )
         coordinates = torch.ones(NUM_LANDMARKS, 3, dtype=torch.bool, device=device)
         coordinates[list(UPPER_FACE)] = False
         self.mouth = coordinates.flatten()  # (204,) mouth, nose and jaw
@@ -200,7 +203,11 @@ class AtsTask:
             "options": self.model.options.to_dict(),
             "emotions": list(self.corpus.emotions),
             "fps": self.corpus.fps,
-            "training": {**training, "data": self.corpus.describe()},
+            "training": {
+                **training,
+                "data": self.corpus.describe(),
+                "speech_encoder": self._encoder,
+            },
         }
         export_model(directory, config, dict(self.model.state_dict()), keep_float32="motion_")
 
@@ -384,14 +391,6 @@ class AtsTask:
         spread = frames.std(axis=0)
         spread = np.maximum(spread, _SPREAD_FLOOR * spread.mean()).clip(1e-6)
         return torch.from_numpy(frames.mean(axis=0)).float(), torch.from_numpy(spread).float()
-
-    def _landmark_weights(self) -> Tensor | None:
-        if self.options.lip_weight == self.options.eye_weight == 1.0:
-            return None
-        weights = torch.ones(NUM_LANDMARKS)
-        weights[list(LIPS)] = self.options.lip_weight
-        weights[list(EYES)] = self.options.eye_weight
-        return (weights / weights.mean()).to(self.device)
 
 
 def _gap(motion: Tensor) -> Tensor:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from freetalk import _native
-from freetalk._files import flush, write_json
+from freetalk._files import beside, flush, write_json
 
 _POINTER = "last.json"
 _VERSION = 3
@@ -46,8 +46,7 @@ def save_checkpoint(
     """
     directory.mkdir(parents=True, exist_ok=True)
     name = _unused_name(directory, step)
-    temporary = directory / f".{name}.{os.getpid()}"
-    shutil.rmtree(temporary, ignore_errors=True)
+    temporary = beside(directory / name)
     temporary.mkdir()
     for group, items in tensors.items():
         contiguous = {key: value.detach().cpu().contiguous() for key, value in items.items()}

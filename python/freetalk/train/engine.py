@@ -119,6 +119,19 @@ class Engine:
         return moved(batch, self.device)
 
 
+class StepLoss(nn.Module):
+    """A step's forward pass: what is wrapped to average gradients over processes."""
+
+    def __init__(self, task: Any) -> None:
+        super().__init__()
+        self.model = task.model
+        self._loss = task.loss
+
+    def forward(self, batch: dict[str, Any], generator: torch.Generator) -> dict[str, Tensor]:
+        """The task's terms."""
+        return self._loss(batch, generator)
+
+
 def moved(batch: Any, device: torch.device) -> Any:
     """Nested dictionaries and lists with their tensors on a device."""
     if isinstance(batch, Tensor):

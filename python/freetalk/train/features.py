@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy.typing as npt
 import torch
 from tqdm import tqdm
 
-from freetalk._files import write_json
+from freetalk._files import replacing, write_json
 from freetalk.data import AtRate, MotionDataset, MotionSequence
 from freetalk.speech import SpeechEncoder, encode_speech
 from freetalk.train.augment import augment_wave, change_speed
@@ -139,9 +138,8 @@ def _compute(
     copies: dict[str, list[Any]] = {}
     total = width = 0
     sums = np.zeros((2, 1))
-    path.mkdir(parents=True, exist_ok=True)
-    temporary = path / f".features.{os.getpid()}"
-    with temporary.open("wb") as file:  # row by row: a large dataset's features fit no memory
+    with replacing(path / "features.f16") as temporary, temporary.open("wb") as file:
+        # Row by row: a large dataset's features fit no memory.
         for number, sequence in enumerate(tqdm(sequences, desc="speech features", unit="take")):
             renderings = augmentations if sequence.split == "train" else 0
             for speed, features in _renderings(
@@ -155,7 +153,6 @@ def _compute(
                 sums = sums + np.stack([values.sum(axis=0), np.square(values).sum(axis=0)])
     mean, square = sums / max(total, 1)
     spread = np.sqrt(np.maximum(square - np.square(mean), 0))
-    temporary.replace(path / "features.f16")
     index = {
         "copies": copies,
         "rows": total,

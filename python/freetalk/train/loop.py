@@ -26,10 +26,10 @@ from freetalk.train.checkpoint import (
 from freetalk.train.checks import check_continues
 from freetalk.train.config import LoopOptions, TrainingConfig
 from freetalk.train.draws import Batch, Draws, DrawsItems, step_seed
-from freetalk.train.engine import Engine, moved
+from freetalk.train.engine import Engine, StepLoss, moved
 from freetalk.train.interrupts import stop_requests
+from freetalk.train.previews import ShowsSamples, save_sample
 from freetalk.train.progress import Progress, notice
-from freetalk.train.samples import ShowsSamples, save_sample
 from freetalk.train.weights import Average, parameter_groups
 
 #: An fp16 scale below which gradients overflow whatever it is.
@@ -59,12 +59,20 @@ class Task(DrawsItems, Protocol):
 
 @dataclass(frozen=True)
 class TrainingResult:
-    """How a training ended: ``finished`` or ``interrupted``, after how many steps, with what scores."""
+    """How a training ended: ``finished`` or ``interrupted``, after how many steps, with what scores.
+
+    Attributes:
+        directory: of the weights.
+        parameters: that were trained.
+        lacking: one sentence on what the output folder lacks to be a folder of weights; empty where it is one.
+    """
 
     status: str
     step: int
     scores: dict[str, float]
     directory: Path
+    parameters: int
+    lacking: str = ""
 
 
 class Trainer:
@@ -98,7 +106,7 @@ class Trainer:
         self.engine = engine or Engine(config.loop)
         self.checkpoints = out / "checkpoints" / config.kind
         skips_layers = float(config.model.get("layerdrop", 0.0)) > 0
-        self.module = self.engine.prepare(_Loss(task), skips_layers)
+        self.module = self.engine.prepare(StepLoss(task), skips_layers)
         self.optimizer = torch.optim.AdamW(
             parameter_groups(task.model, self.options.weight_decay),
             lr=self.options.learning_rate,
@@ -381,17 +389,6 @@ class Trainer:
         )
 
     def _result(self, status: str) -> TrainingResult:
-        return TrainingResult(status, self.step, self.scores, self.out / self.config.kind)
-
-
-class _Loss(nn.Module):
-    """A step's forward pass: what is wrapped to average gradients over processes."""
-
-    def __init__(self, task: Task) -> None:
-        super().__init__()
-        self.model = task.model
-        self._loss = task.loss
-
-    def forward(self, batch: Batch, generator: torch.Generator) -> dict[str, Tensor]:
-        """The task's terms."""
-        return self._loss(batch, generator)
+        parameters = sum(p.numel() for p in self.task.model.parameters())
+        directory = self.out / self.config.kind
+        return TrainingResult(status, self.step, self.scores, directory, parameters)

@@ -5,6 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from freetalk.data import NUM_LANDMARKS
+from freetalk.data.landmarks import EYES, LIPS
+
 #: Of a metre. Losses count in square millimetres: in square metres gradients lie below Adam's epsilon, which
 #: then, and not the learning rate, would set the steps.
 MILLIMETRES = 1000.0
@@ -125,3 +128,13 @@ def closures(wanted: Tensor, valid: Tensor, usual: float) -> Tensor:
     rows = (wanted * valid).reshape(-1, 1, wanted.shape[-1])
     nearby = torch.nn.functional.max_pool1d(rows, reach, stride=1, padding=_CLOSURE_FRAMES)
     return valid & (wanted <= closed) & (nearby.view_as(wanted) > 2 * closed)
+
+
+def landmark_weights(lips: float, eyes: float, device: torch.device) -> Tensor | None:
+    """(68,) weights of mean 1 of the landmarks, by those of lips and eyelids; ``None`` where all weigh alike."""
+    if lips == eyes == 1.0:
+        return None
+    weights = torch.ones(NUM_LANDMARKS)
+    weights[list(LIPS)] = lips
+    weights[list(EYES)] = eyes
+    return (weights / weights.mean()).to(device)

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freetalk.data import MotionSequence, lip_opening
-from freetalk.train.sampling import SequenceSampler
+from freetalk.train.sequences import SequenceSampler
 
 FloatArray = npt.NDArray[np.float32]
 #: Features (T, C) and motion (T, 68, 3) of a piece of at most the given number of frames.

@@ -16,9 +16,14 @@ from tqdm import tqdm
 from freetalk.train.config import TrainingConfig
 
 
+def is_main_process() -> bool:
+    """Whether this is the one of several processes that speaks and writes."""
+    return int(os.environ.get("RANK", "0")) == 0
+
+
 def notice(text: str) -> None:
     """A line beside the bar, from one of the processes that train together."""
-    if int(os.environ.get("RANK", "0")) == 0:
+    if is_main_process():
         tqdm.write(text, file=sys.stderr)
 
 

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 
 from freetalk._files import write_json
 from freetalk.data import MotionDataset, open_datasets
+from freetalk.train.assemble import assemble
 from freetalk.train.checkpoint import git_commit
 from freetalk.train.checks import check_continues, check_motion
 from freetalk.train.config import TrainingConfig, load_config
 from freetalk.train.engine import Engine
 from freetalk.train.initial import start_from
 from freetalk.train.loop import Task, Trainer, TrainingResult
+from freetalk.train.progress import is_main_process
 from freetalk.viz import check_video_support
 
 
@@ -28,7 +31,8 @@ def run(
     """Trains a model; an interrupted run continues when called again with the same `out`.
 
     Writes below `out`: ``<kind>/`` (weights for inference, after every validation that improves),
-    ``checkpoints/<kind>/``, ``tensorboard/<kind>/``, ``samples/<kind>/``, ``run_<kind>.json``. Under
+    ``checkpoints/<kind>/``, ``tensorboard/<kind>/``, ``samples/<kind>/``, ``run_<kind>.json``; once all stages are
+    there also ``talker.json``: `out` is then a folder of weights for ``Talker.from_pretrained``. Under
     ``torchrun`` or ``accelerate launch`` every process calls it, with the same arguments; `data` and
     `out` are folders that all of them see.
 
@@ -48,21 +52,40 @@ def run(
         RuntimeError: the loss or a gradient is not finite.
     """
     config = load_config(kind, config_path, overrides)
+    command = f"freetalk train {kind} --config {Path(config_path).name} --data CORPUS --out OUT"
+    given = [str(data)] if isinstance(data, str | Path) else [str(one) for one in data]
+    command = " ".join([command, *overrides])
+    result = train_dataset(config, lambda: open_datasets(data), Path(out), command, given)
+    return replace(result, lacking=assemble(Path(out))) if is_main_process() else result
+
+
+def train_dataset(
+    config: TrainingConfig,
+    dataset: Callable[[], MotionDataset],
+    out: Path,
+    command: str,
+    data: Sequence[str] = (),
+) -> TrainingResult:
+    """Trains a model of a configuration, see :func:`run`.
+
+    Args:
+        config: what is trained, and how.
+        dataset: opens what it is trained on; the main process does so first.
+        out: folder to write to.
+        command: what led here, noted with the weights.
+        data: where the data lies, noted likewise.
+    """
     engine = Engine(config.loop)
     if config.loop.threads > 0:
         torch.set_num_threads(config.loop.threads)
     if config.loop.render_every > 0 and engine.is_main:
         check_video_support()
-    out = Path(out)
     with engine.main_first():
-        corpus = open_datasets(data)
+        corpus = dataset()
         corpus.check()
-        check_continues(out / "checkpoints" / kind, config, corpus.fingerprint)
+        check_continues(out / "checkpoints" / config.kind, config, corpus.fingerprint)
         task = make_task(config, corpus, out, engine.device)
-    command = f"freetalk train {kind} --config {Path(config_path).name} --data CORPUS --out OUT"
-    trainer = Trainer(
-        task, config, out, corpus.fingerprint, " ".join([command, *overrides]), engine
-    )
+    trainer = Trainer(task, config, out, corpus.fingerprint, command, engine)
     if engine.is_main:
         _write_run_record(out, config, data, corpus)
     return trainer.run()
@@ -102,17 +125,12 @@ def _new_task(
 
 
 def _write_run_record(
-    out: Path,
-    config: TrainingConfig,
-    data: str | Path | Sequence[str | Path],
-    corpus: MotionDataset,
+    out: Path, config: TrainingConfig, data: Sequence[str], corpus: MotionDataset
 ) -> None:
     """Notes beside the weights what was asked for, and what the data says of itself."""
-    out.mkdir(parents=True, exist_ok=True)
-    given = [str(data)] if isinstance(data, str | Path) else [str(one) for one in data]
     record = {
         "config": config.to_dict(),
-        "data": given,
+        "data": list(data),
         "datasets": corpus.describe(),
         "data_fingerprint": corpus.fingerprint,
         "commit": git_commit(),

@@ -24,7 +24,7 @@ from freetalk.train.checks import NO_VALIDATION
 from freetalk.train.config import TrainingConfig
 from freetalk.train.engine import moved
 from freetalk.train.progress import notice
-from freetalk.train.sampling import SequenceSampler, present_weights
+from freetalk.train.sequences import SequenceSampler, present_weights
 from freetalk.train.speech_recordings import RECORDED, Recordings
 from freetalk.train.speech_targets import IGNORED_PHONE, SpeechTargets, log_mel
 from freetalk.train.task_options import SpeechTaskOptions

@@ -14,8 +14,8 @@ from freetalk.stm import Stm, StmOptions
 from freetalk.train.checkpoint import export_model
 from freetalk.train.config import TrainingConfig
 from freetalk.train.losses import MILLIMETRES, motion_loss
-from freetalk.train.samples import Sample
-from freetalk.train.sampling import Epochs
+from freetalk.train.previews import Sample
+from freetalk.train.sequences import Epochs
 from freetalk.train.stm_cuts import FaceCuts
 from freetalk.train.stm_meshes import (
     Placement,

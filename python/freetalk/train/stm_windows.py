@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freetalk.data import MixedDataset, MotionDataset, MotionSequence, OpenCorpus
-from freetalk.train.sampling import SequenceSampler, present_weights
+from freetalk.train.sequences import SequenceSampler, present_weights
 from freetalk.train.stm_meshes import PreparedMesh, random_weights
 
 FloatArray = npt.NDArray[np.float32]

@@ -11,8 +11,8 @@ from mini_corpus import write_mini_corpus
 
 from freetalk.data import OpenCorpus
 from freetalk.train import load_config, run
+from freetalk.train.previews import MeanFace, Sample, ShowsSamples, save_sample
 from freetalk.train.run import make_task
-from freetalk.train.samples import MeanFace, Sample, ShowsSamples, save_sample
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 QUICK = ["loop.threads=1", "loop.device=cpu"]

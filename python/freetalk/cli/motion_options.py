@@ -1,4 +1,4 @@
-"""Options of ``freetalk animate`` that say how motion is sampled. Imports nothing heavy."""
+"""Options that say how motion is made, and where. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 
 from freetalk.cli.numbers import natural, temperature, tolerance
 
+DEFAULT_WEIGHTS = "open-small"
 _GUIDANCE = {"audio": "audio_guidance", "emotion": "affect_guidance"}
 
 
@@ -30,9 +31,9 @@ def guidance(text: str) -> dict[str, float]:
     return found
 
 
-def add_sampling(parser: argparse.ArgumentParser) -> None:
-    """Adds the options."""
-    absent = argparse.SUPPRESS  # the weights say
+def add_diffusion(parser: argparse.ArgumentParser) -> None:
+    """Adds how motion is sampled from speech; what is not given is as the weights say."""
+    absent = argparse.SUPPRESS
     samplers = ("ddim", "ddpm", "dpmpp")
     sampler_help = "dpmpp (DPM-Solver++) needs 10 to 20 steps; by default that of the weights"
     parser.add_argument("--sampler", choices=samplers, default=absent, help=sampler_help)
@@ -52,12 +53,28 @@ def add_sampling(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--mouth-temperature", type=temperature, default=absent, metavar="T", help=temperature_help
     )
+
+
+def diffusion_options(arguments: argparse.Namespace) -> dict[str, object]:
+    """What was given of :func:`add_diffusion`, by the names of the library's options."""
+    names = {"sampler": "sampler", "steps": "num_steps", "mouth_temperature": "mouth_temperature"}
+    given = vars(arguments)
+    found = {field: given[name] for name, field in names.items() if name in given}
+    return {**found, **given.get("guidance", {})}
+
+
+def add_decoding(parser: argparse.ArgumentParser) -> None:
+    """Adds how ``freetalk animate`` decodes and completes the motion."""
     tolerance_help = (
         "largest error in mm of frames that are interpolated instead of decoded by the network; 0 decodes "
         "every frame; by default 0.2"
     )
     parser.add_argument(
-        "--tolerance-mm", type=tolerance, default=absent, metavar="MM", help=tolerance_help
+        "--tolerance-mm",
+        type=tolerance,
+        default=argparse.SUPPRESS,
+        metavar="MM",
+        help=tolerance_help,
     )
     parser.add_argument(
         "--blinks",
@@ -70,4 +87,11 @@ def add_sampling(parser: argparse.ArgumentParser) -> None:
         choices=("float32", "bfloat16"),
         default="float32",
         help="of the networks; bfloat16 is faster where the processor has it",
+    )
+
+
+def add_device(parser: argparse.ArgumentParser) -> None:
+    """Adds where the networks run."""
+    parser.add_argument(
+        "--device", metavar="NAME", help="cpu, cuda or cuda:N; by default a GPU where there is one"
     )
