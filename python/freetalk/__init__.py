@@ -56,6 +56,7 @@ _ROOMS = (
     "mesh",
     "metrics",
     "nn",
+    "page",
     "rig",
     "speech",
     "stm",

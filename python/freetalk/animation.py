@@ -139,11 +139,12 @@ class Animation:
 
         ``.npz`` holds everything (``numpy.load`` reads it), ``.glb`` and ``.gltf`` hold morph targets with an
         animation of their weights, ``folder/*.obj`` and ``folder/*.ply`` one numbered mesh per frame, ``.mp4`` a
-        rendered video with sound.
+        rendered video with sound, ``.html`` a page that plays it in any browser, without a network.
 
         Args:
             path: where to write.
-            options: fields of ``SaveOptions``; for ``.mp4`` those of ``freetalk.viz.save_video``.
+            options: fields of ``SaveOptions``; for ``.mp4`` those of ``freetalk.viz.save_video``, for ``.html``
+                those of ``freetalk.page.save_page``.
 
         Returns:
             Format, number of files, number and error of morph targets.
@@ -157,6 +158,11 @@ class Animation:
 
             save_video(self, path, **options)
             return SaveReport("mp4")
+        if Path(path).suffix.lower() == ".html":
+            from freetalk.page import save_page
+
+            save_page(self, path, **options)
+            return SaveReport("html")
         return self._native.save(path, SaveOptions(**options))
 
     @classmethod

@@ -40,13 +40,14 @@ PYTHON_LAYERS: dict[str, int] = {
     "viz": 1,
     "corpus": 1,
     "data": 1,
+    "page": 2,
     "train": 2,
     "evaluate": 3,
     "tables": 4,
     "cli": 5,
 }
 # Upward uses that are meant: imported inside a function, only when that function is asked for.
-ON_DEMAND = {("animation", "viz")}  # Animation.save("talk.mp4")
+ON_DEMAND = {("animation", "viz"), ("animation", "page")}  # save("talk.mp4"), save("talk.html")
 
 HEADER_LINES, SOURCE_LINES = 150, 400
 INCLUDE = re.compile(r'^\s*#\s*include\s*[<"]([^>"]+)[>"]', re.MULTILINE)

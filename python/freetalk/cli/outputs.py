@@ -7,7 +7,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-ANIMATION_SUFFIXES = (".glb", ".gltf", ".npz", ".mp4")
+ANIMATION_SUFFIXES = (".glb", ".gltf", ".html", ".npz", ".mp4")
 FRAME_SUFFIXES = (".obj", ".ply")
 AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".mp3")
 MESH_SUFFIXES = (".obj", ".ply", ".off", ".stl", ".gltf", ".glb")
@@ -19,7 +19,7 @@ class Output:
 
     Attributes:
         path: The file, or the folder of a mesh a frame.
-        format: ``glb``, ``gltf``, ``npz``, ``mp4``, ``obj`` or ``ply``.
+        format: ``glb``, ``gltf``, ``html``, ``npz``, ``mp4``, ``obj`` or ``ply``.
     """
 
     path: Path

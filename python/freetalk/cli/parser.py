@@ -140,8 +140,8 @@ def _add_animate(commands: Any) -> None:
         "animate a face mesh with speech",
         description=(
             "Animates a face mesh of any topology with recorded speech. Outputs by name: talk.glb or "
-            "talk.gltf (morph targets), talk.npz (arrays), talk.mp4 (rendered, with sound), and for one "
-            "mesh a frame a folder: 'frames/' or 'frames/*.obj' (OBJ), 'frames/*.ply' (PLY). "
+            "talk.gltf (morph targets), talk.html (a page that plays it in any browser), talk.npz (arrays), "
+            "talk.mp4 (rendered, with sound), and for one mesh a frame a folder: 'frames/' or 'frames/*.obj' (OBJ), 'frames/*.ply' (PLY). "
             "An emotion is a name, a mixture 'happy:0.7,surprise:0.3', or keyframes "
             "'0=neutral; 2.5=happy:0.7,surprise:0.3@2.5' (SECONDS=EMOTION@INTENSITY, the intensity "
             "optional), between which it changes evenly. --audio and --mesh may be folders: every mesh speaks "
@@ -331,12 +331,30 @@ def _add_speech(commands: Any) -> None:
 
 
 def _add_view(commands: Any) -> None:
-    parser = _command(commands, "view", "view:run", "show an animation, or render it to files")
-    parser.add_argument("file", metavar="FILE", help="an animation .npz")
-    parser.add_argument("--png", metavar="FILE", help="write a picture instead of opening a window")
-    parser.add_argument("--mp4", metavar="FILE", help="write a video instead of opening a window")
+    parser = _command(
+        commands,
+        "view",
+        "view:run",
+        "play animations in the browser, or render one to files",
+        description=(
+            "Opens a page in the browser that plays animations with sound: turn them, compare several beside each "
+            "other, colour them by their distance from a truth, save pictures and videos. Without a display it "
+            "prints the page's address, which is reachable from this machine alone."
+        ),
+    )
+    parser.add_argument("files", metavar="FILE", nargs="+", help="animations .npz, to compare")
+    truth_help = "an animation of the same mesh: colour the others by their distance from it"
+    parser.add_argument("--truth", metavar="FILE", help=truth_help)
+    texture_help = "picture for the mesh's texture coordinates: PNG, JPEG, WebP"
+    parser.add_argument("--texture", metavar="FILE", help=texture_help)
+    parser.add_argument("--html", metavar="FILE", help="write the page instead of opening it")
+    parser.add_argument("--port", type=natural, help="of the page; by default any that is free")
+    parser.add_argument("--png", metavar="FILE", help="write a picture of the first instead")
+    parser.add_argument("--mp4", metavar="FILE", help="write a video of the first instead")
     parser.add_argument("--time", type=float, default=0.0, help="moment of the picture, seconds")
-    parser.add_argument("--size", type=picture_size, default="720x720", help="pixels")
+    parser.add_argument(
+        "--size", type=picture_size, default="720x720", help="pixels of picture and video"
+    )
     parser.add_argument("--yaw", type=float, default=12.0, help="degrees the camera stands aside")
 
 

@@ -15,7 +15,6 @@ from freetalk.viz.pictures import (
 from freetalk.viz.renderer import FaceRenderer, View
 from freetalk.viz.sequence import Sequence, as_sequence
 from freetalk.viz.video import check_video_support, save_video, write_video
-from freetalk.viz.viewer import show
 
 __all__ = [
     "FaceRenderer",
@@ -33,6 +32,5 @@ __all__ = [
     "render_frames",
     "save_image",
     "save_video",
-    "show",
     "write_video",
 ]

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 Image = NDArray[np.uint8]
 
 # The visible face around the mean of the 68 landmarks of the mean face, in metres: (low, high).
-_FACE_BOX = np.array([[-0.095, -0.090, -0.12], [0.095, 0.105, 0.09]])
+FACE_BOX = np.array([[-0.095, -0.090, -0.12], [0.095, 0.105, 0.09]])
 
 _SKIN_SHADING: dict[str, Any] = {
     "ambient": 0.08,
@@ -78,7 +78,6 @@ class FaceRenderer:
         sequence: The animation; its alignment sets the upright pose.
         size: (width, height) in pixels.
         view: Camera and look.
-        off_screen: Draws without a display; otherwise the caller shows ``plotter``.
 
     Attributes:
         plotter: The scene.
@@ -92,7 +91,6 @@ class FaceRenderer:
         sequence: Sequence,
         size: tuple[int, int] = (720, 720),
         view: View | None = None,
-        off_screen: bool = True,
     ) -> None:
         self._sequence = sequence
         self._view = view or View()
@@ -100,7 +98,7 @@ class FaceRenderer:
         self._normals = NormalField(sequence.faces, len(rest))
         with _opengl_messages():
             pyvista = _import_pyvista()
-            self.plotter = pyvista.Plotter(off_screen=off_screen, window_size=list(size))
+            self.plotter = pyvista.Plotter(off_screen=True, window_size=list(size))
             if not self._view.smooth_edges:
                 self.plotter.render_window.SetMultiSamples(0)
             try:
@@ -110,8 +108,7 @@ class FaceRenderer:
                 if sequence.located and self._view.fill_openings:
                     self._fill(find_cavities(rest, sequence.faces), rest)
                 aim_camera(self.plotter, rest, sequence.located, size, self._view)
-                if off_screen:
-                    self.plotter.show(auto_close=False, interactive=False)
+                self.plotter.show(auto_close=False, interactive=False)
             except BaseException:
                 self.plotter.close()
                 raise
@@ -201,7 +198,7 @@ def aim_camera(
     """Frames the face, sets lights and background."""
     low, high = rest.min(0).astype(float), rest.max(0).astype(float)
     if located:
-        low, high = np.maximum(low, _FACE_BOX[0]), np.minimum(high, _FACE_BOX[1])
+        low, high = np.maximum(low, FACE_BOX[0]), np.minimum(high, FACE_BOX[1])
     center, extent = (low + high) / 2, np.maximum(high - low, 1e-9)
     tangent = np.tan(np.deg2rad(view.view_angle_deg) / 2)
     half = max(extent[1], extent[0] * size[1] / size[0]) / 2

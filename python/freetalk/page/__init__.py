@@ -1,0 +1,24 @@
+"""A page that plays animations in any browser: one HTML file, no network, no library."""
+
+from __future__ import annotations
+
+from freetalk.page.document import render_page
+from freetalk.page.expression import arkit_curves, find_landmarks
+from freetalk.page.motion import PackedMotion, pack_motion, unpack_motion
+from freetalk.page.save import make_page, save_page
+from freetalk.page.take import pack_take, read_take
+from freetalk.page.viewing import PageServer
+
+__all__ = [
+    "PackedMotion",
+    "PageServer",
+    "arkit_curves",
+    "find_landmarks",
+    "make_page",
+    "pack_motion",
+    "pack_take",
+    "read_take",
+    "render_page",
+    "save_page",
+    "unpack_motion",
+]
