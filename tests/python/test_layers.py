@@ -42,6 +42,7 @@ PYTHON_LAYERS: dict[str, int] = {
     "data": 1,
     "page": 2,
     "train": 2,
+    "video": 2,
     "evaluate": 3,
     "tables": 4,
     "cli": 5,

@@ -48,6 +48,27 @@ def check(arguments: argparse.Namespace) -> None:
     print("ready to train" + (" (motion and sound were not read)" if arguments.quick else ""))
 
 
+def from_video(arguments: argparse.Namespace) -> None:
+    """Makes a dataset of videos of talking faces, or of face points tracked in them."""
+    check_writable(Path(arguments.out))
+    from tqdm import tqdm
+
+    from freetalk.video import fit_talker, tracks_by_talker, write_dataset
+
+    tracks = tracks_by_talker([Path(source) for source in arguments.sources], arguments.talkers)
+    talkers = [fit_talker(clips) for clips in tqdm(tracks.values(), "talkers")]
+    report = write_dataset(Path(arguments.out), talkers, arguments.split)
+    for name, own in report["talkers"].items():
+        print(
+            f"{name}: {own['clips']} clips, {own['frames']} frames; points {own['error_px']:.2f} px off, opening "
+            f"r {own['opening_correlation']:.3f}, width r {own['width_correlation']:.3f}, "
+            f"{own['closed']:.0%} of closed lips closed"
+        )
+    _print_list("left out", [f"{name}: {why}" for name, why in report["left_out"].items()])
+    splits = ", ".join(f"{count} {split}" for split, count in report["splits"].items())
+    print(f"{splits}; train on it with 'freetalk train ats --data {arguments.out}'")
+
+
 def _print_list(kind: str, messages: list[str]) -> None:
     for message in messages[:_SHOWN]:
         print(f"{kind}: {message}")

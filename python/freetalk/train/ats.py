@@ -85,6 +85,7 @@ class AtsTask:
             Path(self.options.feature_cache or out / "cache"),
             self.options.feature_augmentations,
             device,
+            self.options.voices,
         )
         fields = {"audio_dim": self.features.width, **config.model, "fps": self.corpus.fps}
         if fields["audio_dim"] != self.features.width:

@@ -6,7 +6,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import fftconvolve
 
+from freetalk.corpus.stretch import stretched
+
 FloatArray = npt.NDArray[np.float32]
+
+#: Spread of the size of drawn voices, and the tempos at which they speak.
+_VOICE_OCTAVES = 0.2
+_TEMPO = (0.88, 1.14)
 
 
 def change_speed(wave: FloatArray, speed: float) -> FloatArray:
@@ -16,6 +22,31 @@ def change_speed(wave: FloatArray, speed: float) -> FloatArray:
     length = max(1, round(len(wave) / speed))
     times = np.arange(length) * speed
     return np.interp(times, np.arange(len(wave)), wave).astype(np.float32)
+
+
+def change_voice(
+    wave: FloatArray, rng: np.random.Generator, sample_rate_hz: int
+) -> tuple[FloatArray, float]:
+    """Speech as another, smaller or larger, slower or faster talker might say it.
+
+    Pitch and formants move together, by up to a quarter of an octave either way and seldom more, and the tempo by
+    itself.
+
+    Args:
+        wave: (S,) samples.
+        rng: draws.
+        sample_rate_hz: of the wave.
+
+    Returns:
+        (round(S / speed),) samples, and the speed: how much faster it is said.
+    """
+    size = float(
+        2 ** np.clip(rng.normal(0, _VOICE_OCTAVES), -2 * _VOICE_OCTAVES, 2 * _VOICE_OCTAVES)
+    )
+    speed = float(rng.uniform(*_TEMPO))
+    higher = change_speed(wave, size)
+    said = stretched(higher, len(higher) * speed / len(wave), sample_rate_hz)
+    return said.astype(np.float32), speed
 
 
 def augment_wave(wave: FloatArray, rng: np.random.Generator, sample_rate_hz: int) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from tqdm import tqdm
 from freetalk._files import replacing, write_json
 from freetalk.data import AtRate, MotionDataset, MotionSequence
 from freetalk.speech import SpeechEncoder, encode_speech
-from freetalk.train.augment import augment_wave, change_speed
+from freetalk.train.augment import augment_wave, change_speed, change_voice
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,23 @@ class FeatureCopy:
     start: int
     num_frames: int
     speed: float
+
+
+@dataclass(frozen=True)
+class _Copies:
+    """How many altered copies a training sequence has: as it was said, and in other voices by source."""
+
+    augmentations: int
+    voices: dict[str, int]
+
+    def of(self, sequence: MotionSequence) -> tuple[int, int]:
+        if sequence.split != "train":
+            return 0, 0
+        return self.augmentations, self.voices.get(sequence.source, 0)
+
+    def __str__(self) -> str:
+        named = "".join(f" {k}={v}" for k, v in sorted(self.voices.items()) if v)
+        return f"{self.augmentations}{named}"
 
 
 class FeatureCache:
@@ -39,6 +56,7 @@ class FeatureCache:
         directory: folder of the cache.
         augmentations: altered copies of each training sequence.
         device: where to encode.
+        voices: altered copies in other voices of each training sequence of a source, after the others.
     """
 
     def __init__(
@@ -49,12 +67,14 @@ class FeatureCache:
         directory: Path,
         augmentations: int,
         device: torch.device,
+        voices: Mapping[str, int] | None = None,
     ) -> None:
         self.corpus = corpus
-        key = _key(corpus, sequences, encoder_dir, augmentations)
+        copies = _Copies(augmentations, dict(voices or {}))
+        key = _key(corpus, sequences, encoder_dir, copies)
         path = directory / f"speech-features-{key}"
         if not (path / "index.json").is_file():
-            _compute(corpus, sequences, encoder_dir, path, augmentations, device)
+            _compute(corpus, sequences, encoder_dir, path, copies, device)
         index = json.loads((path / "index.json").read_text())
         self._copies = {
             name: [FeatureCopy(*copy) for copy in copies]
@@ -108,9 +128,9 @@ def _key(
     corpus: MotionDataset | AtRate,
     sequences: Sequence[MotionSequence],
     encoder_dir: Path,
-    augmentations: int,
+    copies: _Copies,
 ) -> str:
-    digest = hashlib.sha256(f"4 {augmentations} {corpus.fingerprint}".encode())
+    digest = hashlib.sha256(f"4 {copies} {corpus.fingerprint}".encode())
     for name in ("config.json", "model.safetensors"):
         file = encoder_dir / name
         if not file.is_file():
@@ -131,7 +151,7 @@ def _compute(
     sequences: Sequence[MotionSequence],
     encoder_dir: Path,
     path: Path,
-    augmentations: int,
+    wanted: _Copies,
     device: torch.device,
 ) -> None:
     encoder = SpeechEncoder.from_pretrained(encoder_dir).to(device).eval()
@@ -141,9 +161,12 @@ def _compute(
     with replacing(path / "features.f16") as temporary, temporary.open("wb") as file:
         # Row by row: a large dataset's features fit no memory.
         for number, sequence in enumerate(tqdm(sequences, desc="speech features", unit="take")):
-            renderings = augmentations if sequence.split == "train" else 0
             for speed, features in _renderings(
-                corpus, sequence, encoder, np.random.default_rng([number, 77]), renderings
+                corpus,
+                sequence,
+                encoder,
+                np.random.default_rng([number, 77]),
+                *wanted.of(sequence),
             ):
                 half = features.astype(np.float16)
                 half.tofile(file)
@@ -169,14 +192,19 @@ def _renderings(
     encoder: SpeechEncoder,
     rng: np.random.Generator,
     augmentations: int,
+    voices: int,
 ) -> Iterator[tuple[float, npt.NDArray[np.float32]]]:
     """Speed and features (T, C) of a sequence's sound: as it is, then altered."""
     wave = corpus.audio(sequence)
-    for copy in range(1 + augmentations):
+    for copy in range(1 + augmentations + voices):
         speed, heard = 1.0, wave
+        if copy > augmentations:
+            heard, speed = change_voice(wave, rng, corpus.sample_rate_hz)
+        elif copy > 1:
+            speed = float(rng.uniform(0.9, 1.1))
+            heard = change_speed(wave, speed)
         if copy > 0:
-            speed = float(rng.uniform(0.9, 1.1)) if copy > 1 else 1.0
-            heard = augment_wave(change_speed(wave, speed), rng, corpus.sample_rate_hz)
+            heard = augment_wave(heard, rng, corpus.sample_rate_hz)
         sound = torch.from_numpy(np.array(heard, dtype=np.float32))
         features = encode_speech(encoder, sound, sequence.fps).cpu().numpy()
         yield speed, features[: round(sequence.num_frames / speed)]

@@ -23,6 +23,8 @@ class AtsTaskOptions:
         feature_cache: folder of the computed speech features; empty takes ``OUT/cache``.
         feature_augmentations: extra copies of the features from changed audio (noise, room,
             band limits, speed).
+        voices: further copies by source, in other voices: pitch, formants and tempo changed, the motion
+            at that tempo; so that a model that learns from few talkers follows others.
         feature_noise: noise added to the features of each frame, relative to their standard
             deviation.
         feature_shift: noise that is the same in all frames of a window, likewise: what a speaker
@@ -64,6 +66,7 @@ class AtsTaskOptions:
     speech_encoder: str = ""
     feature_cache: str = ""
     feature_augmentations: int = 0
+    voices: dict[str, int] = field(default_factory=dict)
     feature_noise: float = 0.0
     feature_shift: float = 0.0
     feature_dropout: float = 0.0

@@ -1,0 +1,187 @@
+"""A dataset of fitted clips in the layout of a folder of one's own recordings, with what was left out and why."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from freetalk._files import replacing, write_json, write_text
+from freetalk.audio import load_audio, save_wav
+from freetalk.corpus.assets import load_face_model
+from freetalk.data.landmarks import lip_opening
+from freetalk.video.fit import CLOSED_M, FittedClip, FittedTalker
+
+SPLITS = ("auto", "train", "val", "test")
+#: Of a talker's clips, and of the talkers where there are so many.
+_SHARES = {"test": 0.08, "val": 0.06}
+_TALKERS_TO_SPLIT = 8
+#: A clip with a smaller share of good frames is left out.
+_LEAST_GOOD = 0.9
+
+
+@dataclass(frozen=True)
+class TalkerReport:
+    """How well a talker's clips were fitted.
+
+    Attributes:
+        clips: that were kept.
+        frames: of them.
+        error_px: median reprojection error at 70 px between the outer corners of the eyes.
+        opening_correlation: of the fitted opening with the tracker's gap.
+        width_correlation: of the fitted width of the mouth with the tracker's.
+        closed: share of the frames in which the tracker sees closed lips that are closed (0.6 mm).
+        closed_gap_mm: the tracker's gap of closed lips.
+        lip_jerk: mean absolute third derivative of the lip landmarks, m / s^3.
+    """
+
+    clips: int
+    frames: int
+    error_px: float
+    opening_correlation: float
+    width_correlation: float
+    closed: float
+    closed_gap_mm: float
+    lip_jerk: float
+
+
+def report_of(talker: FittedTalker, clips: Sequence[FittedClip]) -> TalkerReport:
+    """How well clips of a talker were fitted."""
+    gap, width = (np.concatenate([getattr(c, name) for c in clips]) for name in ("gap", "width"))
+    moved = np.concatenate([c.landmarks for c in clips])
+    opening, closed = lip_opening(moved), gap <= 0
+    jerk = [
+        np.abs(np.diff(c.landmarks[:, 48:68], 3, axis=0)) * c.track.fps**3
+        for c in clips
+        if len(c.landmarks) > 3
+    ]
+    return TalkerReport(
+        clips=len(clips),
+        frames=len(moved),
+        error_px=float(np.median(np.concatenate([c.error_px for c in clips]))),
+        opening_correlation=_correlation(opening, gap),
+        width_correlation=_correlation(moved[:, 54, 0] - moved[:, 48, 0], width),
+        closed=float((opening[closed] <= CLOSED_M).mean()) if closed.any() else 1.0,
+        closed_gap_mm=1000 * talker.closed_gap_m,
+        lip_jerk=float(np.concatenate(jerk).mean()) if jerk else 0.0,
+    )
+
+
+def write_dataset(
+    out: Path, talkers: Sequence[FittedTalker], split: str = "auto"
+) -> dict[str, Any]:
+    """Writes clips as a dataset that training and evaluation open (kind ``folder``).
+
+    ``motion/NAME.npy`` (T, 68, 3) m and ``wav/NAME.wav`` are the sequences, ``templates/TALKER.npy`` the faces at
+    rest; ``fit/NAME.npz`` holds the expression weights, the head's pose, each frame's error and whether it is good,
+    and the word times; ``report.json`` says how good the fit is and which clips were left out.
+
+    Args:
+        out: folder, new or empty.
+        talkers: what was fitted.
+        split: of all clips; ``auto`` splits eight talkers and more by talker, fewer by clip, by a hash of the name.
+
+    Returns:
+        The content of ``report.json``.
+
+    Raises:
+        ValueError: the folder holds something, an unknown split, frame rates differ, or no clip is good.
+    """
+    if split not in SPLITS:
+        raise ValueError(f"split is {split!r}: use one of {', '.join(SPLITS)}")
+    if out.exists() and any(out.iterdir()):
+        raise ValueError(f"{out} is not empty: choose another folder")
+    rates = sorted({round(c.track.fps, 3) for t in talkers for c in t.clips})
+    if len(rates) != 1:
+        raise ValueError(f"the clips have the frame rates {rates}; make one dataset of each rate")
+    reports: dict[str, TalkerReport] = {}
+    left_out: dict[str, str] = {}
+    rows: list[dict[str, str]] = []
+    for talker in talkers:
+        kept = []
+        for clip in talker.clips:
+            reason = _fault(clip)
+            if reason:
+                left_out[_name(talker, clip)] = reason
+                continue
+            kept.append(clip)
+            rows.append(_write_clip(out, talker, clip, _split(split, talker, clip, len(talkers))))
+        if kept:
+            reports[talker.name] = report_of(talker, kept)
+            with replacing(out / "templates" / f"{talker.name}.npy") as path:
+                np.save(path, talker.neutral)
+    if not rows:
+        raise ValueError(
+            f"no clip could be used: {'; '.join(f'{k}: {v}' for k, v in left_out.items())}"
+        )
+    with replacing(out / "labels.csv") as path, path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    report = {
+        "talkers": {name: asdict(own) for name, own in reports.items()},
+        "left_out": left_out,
+        "splits": {name: sum(row["split"] == name for row in rows) for name in SPLITS[1:]},
+    }
+    write_json(out / "report.json", report)
+    write_text(out / "dataset.json", json.dumps({"kind": "folder", "fps": rates[0], "unit": "m"}))
+    return report
+
+
+def _write_clip(out: Path, talker: FittedTalker, clip: FittedClip, split: str) -> dict[str, str]:
+    name = _name(talker, clip)
+    with replacing(out / "motion" / f"{name}.npy") as path:
+        np.save(path, talker.neutral + clip.landmarks)
+    (out / "wav").mkdir(exist_ok=True)
+    sound = load_audio(clip.track.media)
+    save_wav(out / "wav" / f"{name}.wav", sound)
+    with replacing(out / "fit" / f"{name}.npz") as path:
+        np.savez_compressed(
+            path,
+            weights=clip.weights,
+            names=np.array(load_face_model().expression_names),
+            rotation=clip.rotation,
+            shift_m=clip.shift,
+            error_px=clip.error_px,
+            good=clip.good,
+            gap_m=clip.gap,
+            width_m=clip.width,
+            words=json.dumps(clip.track.words),
+        )
+    return {"name": name, "speaker": talker.name, "text": clip.track.text or "", "split": split}
+
+
+def _fault(clip: FittedClip) -> str:
+    """Why a clip is of no use; empty if it is."""
+    found, good = float(clip.track.found.mean()), float(clip.good.mean())
+    if found < _LEAST_GOOD:
+        return f"a face in {found:.0%} of the frames"
+    if good < _LEAST_GOOD:
+        return f"{good:.0%} of the frames fit (median error {np.median(clip.error_px):.1f} px)"
+    return ""
+
+
+def _name(talker: FittedTalker, clip: FittedClip) -> str:
+    return clip.track.name if clip.track.name == talker.name else f"{talker.name}_{clip.track.name}"
+
+
+def _split(asked: str, talker: FittedTalker, clip: FittedClip, talkers: int) -> str:
+    if asked != "auto":
+        return asked
+    unit = talker.name if talkers >= _TALKERS_TO_SPLIT else _name(talker, clip)
+    place = int(hashlib.sha256(unit.encode()).hexdigest()[:8], 16) / 16**8
+    if place < _SHARES["test"]:
+        return "test"
+    return "val" if place < _SHARES["test"] + _SHARES["val"] else "train"
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> float:
+    if a.std() == 0 or b.std() == 0:
+        return 0.0
+    return float(np.corrcoef(a, b)[0, 1])
