@@ -10,6 +10,7 @@ import torch
 from mini_corpus import write_mini_corpus
 
 from freetalk.data import OpenCorpus
+from freetalk.train.augment import change_voice
 from freetalk.train.config import load_config
 from freetalk.train.features import FeatureCache
 from freetalk.train.run import make_task
@@ -64,3 +65,35 @@ def test_dropped_features_are_the_mean_and_keep_the_expectation(cache: FeatureCa
     assert dropped.mean() == pytest.approx(0.25, abs=0.01)
     np.testing.assert_allclose(distance[~dropped], 4 / 3, rtol=1e-3)
     assert distance.mean() == pytest.approx(1.0, abs=0.02)
+
+
+def test_sources_have_copies_in_other_voices(
+    cache: FeatureCache, corpus: OpenCorpus, tmp_path: Path
+) -> None:
+    config = load_config("ats", CONFIGS / "ats_smoke.yaml", ["task.voices={synthetic: 2}"])
+    voiced = make_task(config, corpus, tmp_path, torch.device("cpu")).features  # type: ignore[union-attr]
+    for sequence in corpus.sequences("train"):
+        if sequence.audio is None:
+            continue
+        usual, copies = cache.copies(sequence), voiced.copies(sequence)
+        assert len(copies) - len(usual) == (2 if sequence.source == "synthetic" else 0)
+        np.testing.assert_array_equal(
+            voiced.features(copies[0], 0, 10), cache.features(usual[0], 0, 10)
+        )
+        for copy in copies[len(usual) :]:
+            assert copy.speed != 1.0
+            assert copy.num_frames == round(sequence.num_frames / copy.speed)
+
+
+def test_another_voice_is_higher_and_slower_by_itself() -> None:
+    times = np.arange(32000) / 16000
+    wave = sum(np.sin(2 * np.pi * 150 * k * times) / k for k in range(1, 9)).astype(np.float32)
+    pitches, speeds = [], []
+    for seed in range(12):
+        said, speed = change_voice(wave, np.random.default_rng(seed), 16000)
+        assert len(said) == pytest.approx(len(wave) / speed, abs=2)
+        spectrum = np.abs(np.fft.rfft(said[4000:20384]))
+        pitches.append(float(np.argmax(spectrum)) * 16000 / 16384)
+        speeds.append(speed)
+    assert np.std(np.log2(np.array(pitches) / 150)) > 0.1
+    assert abs(np.corrcoef(pitches, speeds)[0, 1]) < 0.6

@@ -18,6 +18,7 @@ from freetalk.video import (
     fit_talker,
     read_tracks,
     report_of,
+    save_fit_picture,
     tracks_by_talker,
     write_dataset,
 )
@@ -187,3 +188,13 @@ def test_command_names_a_folder_without_videos(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     assert main(["data", "from-video", str(tmp_path / "empty"), "--out", str(tmp_path / "o")]) != 0
     assert "holds neither tracks.npz nor videos" in capsys.readouterr().err
+
+
+def test_picture_shows_the_clips(tmp_path):
+    pytest.importorskip("matplotlib")
+    talker = fit_talker([tracked("a"), tracked("b", seed=3)])
+    save_fit_picture(talker, tmp_path / "fit.png")
+    assert (tmp_path / "fit.png").read_bytes().startswith(b"\x89PNG")
+    # Fitted points lie where the tracker saw them.
+    clip = talker.clips[0]
+    assert np.abs(clip.projected - clip.track.points[..., :2]).mean() < 1.0

@@ -70,7 +70,7 @@ class FeatureCache:
         voices: Mapping[str, int] | None = None,
     ) -> None:
         self.corpus = corpus
-        copies = _Copies(augmentations, dict(voices or {}))
+        copies = _Copies(augmentations, {k: int(v) for k, v in (voices or {}).items()})
         key = _key(corpus, sequences, encoder_dir, copies)
         path = directory / f"speech-features-{key}"
         if not (path / "index.json").is_file():

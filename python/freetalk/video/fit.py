@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from freetalk.video.solve import (
     SolveOptions,
     canonical,
     initial_poses,
+    project,
     solve,
 )
 from freetalk.video.tracks import FaceTrack
@@ -41,31 +42,47 @@ _STANDARD_PX = 70.0
 _UNSEEN = ("eyeLook", "tongue", "cheekPuff", "jawForward")
 
 
-@dataclass(frozen=True)
-class FittedClip:
-    """Motion of one clip.
+@dataclass(frozen=True, kw_only=True)
+class _Fitted:
+    """What was fitted to T frames.
 
     Attributes:
-        track: what it was fitted to.
         weights: (T, E) expression weights in [0, 1] of the face model.
         landmarks: (T, 68, 3) displacements from the talker's rest, m, canonical frame.
         rotation: (T, 3, 3) head to camera.
-        shift: (T, 3) head's origin in m, relative to the clip's mean; depth from the apparent size.
+        shift: (T, 3) head's place in m, relative to the clip's mean; depth, from the apparent size, in parts of
+            the distance.
         error_px: (T,) mean reprojection error at 70 px between the outer corners of the eyes.
-        good: (T,) bool, found and not lost.
+        projected: (T, 68, 2) the fitted landmarks in the image, px as the track's.
         gap: (T,) the tracker's inner-lip gap beyond that of closed lips, m.
         width: (T,) the tracker's width of the mouth, m.
     """
 
-    track: FaceTrack
     weights: FloatArray
     landmarks: FloatArray
     rotation: FloatArray
     shift: FloatArray
     error_px: FloatArray
-    good: npt.NDArray[np.bool_]
+    projected: FloatArray
     gap: FloatArray
     width: FloatArray
+
+    def part(self, start: int, stop: int) -> _Fitted:
+        """Frames [start, stop)."""
+        return _Fitted(**{f.name: getattr(self, f.name)[start:stop] for f in fields(self)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedClip(_Fitted):
+    """Motion of one clip; frames without a face are filled from their neighbours.
+
+    Attributes:
+        track: what it was fitted to.
+        good: (T,) bool, found and not lost.
+    """
+
+    track: FaceTrack
+    good: npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -124,30 +141,37 @@ def fit_talker(tracks: Sequence[FaceTrack], options: SolveOptions | None = None)
         pairs=torch.tensor(PAIRS),
     )
     lengths = [int(t.found.sum()) for t in tracks]
-    told, poses, error = _solved(points, lengths, face, poses, options)
+    told, poses = _solved(points, lengths, face, poses, options)
     weights = np.zeros((len(points), len(model.expression_names)), np.float32)
     weights[:, seen_by_landmarks] = told.numpy()
     gap, width = _measured(points, poses)
     closed = float(gap[rest].median()) + _CLOSED_MARGIN_M
     target = (gap - closed).clamp_min(0).numpy()
     edited = _with_lips(model, weights, target)
+    moved = torch.from_numpy(np.tensordot(edited, model.landmark_basis, 1))
+    flat = project(neutral + moved, poses)[..., :2]
+    fitted = _Fitted(
+        weights=edited,
+        landmarks=moved.numpy(),
+        rotation=poses.rotation.numpy(),
+        shift=_place(poses).numpy(),
+        error_px=(points[..., :2] - flat).norm(dim=-1).mean(1).numpy(),
+        projected=(unit * flat).numpy(),
+        gap=target,
+        width=width.numpy(),
+    )
     result = FittedTalker(tracks[0].talker, _canonical_rest(neutral), identity, closed)
-    parts = [
-        x.split(lengths) for x in (error.mean(1), width, poses.rotation, poses.scale, poses.shift)
-    ]
-    sections = np.cumsum(lengths)[:-1]
-    for track, own, opened, pieces in zip(
-        tracks, np.split(edited, sections), np.split(target, sections), zip(*parts), strict=True
-    ):
-        result.clips.append(_clip(track, model, own, opened, pieces))
+    stops = np.cumsum(lengths)
+    for track, start, stop in zip(tracks, stops - lengths, stops, strict=True):
+        result.clips.append(_clip(track, fitted.part(start, stop)))
     return result
 
 
 def _solved(
     points: Tensor, lengths: list[int], face: FaceBasis, poses: Poses, options: SolveOptions
-) -> tuple[Tensor, Poses, Tensor]:
+) -> tuple[Tensor, Poses]:
     """Clips solved in chunks, which bound the memory."""
-    done: list[tuple[Tensor, Poses, Tensor]] = []
+    done: list[tuple[Tensor, Poses]] = []
     start, stop, firsts = 0, 0, [0]
     for number, length in enumerate(lengths):
         stop += length
@@ -159,13 +183,13 @@ def _solved(
             done.append(solve(points[part], first, face, own, options))
             start, firsts = stop, []
         firsts.append(stop)
-    weights, cameras, error = zip(*done, strict=True)
+    weights, cameras = zip(*done, strict=True)
     joined = Poses(
         torch.cat([c.rotation for c in cameras]),
         torch.cat([c.scale for c in cameras]),
         torch.cat([c.shift for c in cameras]),
     )
-    return torch.cat(weights), joined, torch.cat(error)
+    return torch.cat(weights), joined
 
 
 def _corner_distance(points: FloatArray) -> float:
@@ -220,39 +244,26 @@ def _canonical_rest(neutral: Tensor) -> FloatArray:
     return centred
 
 
-def _clip(
-    track: FaceTrack,
-    model: FaceModel,
-    weights: FloatArray,
-    gap: FloatArray,
-    pieces: tuple[Tensor, ...],
-) -> FittedClip:
-    """Fills the frames in which no face was found from their neighbours."""
-    error, width, rotation, scale, shift = pieces
-    frames, known = len(track.points), np.flatnonzero(track.found)
-    near = (
-        np.abs(np.arange(frames)[:, None] - known[None]).argmin(1) if len(known) < frames else known
+def _place(poses: Poses) -> Tensor:
+    """(T, 3) where the head is, m: across the image as its points, in depth as its size."""
+    distance = 1 / poses.scale
+    return torch.cat(
+        [poses.shift / poses.scale[:, None], -(distance / distance.mean())[:, None]], 1
     )
+
+
+def _clip(track: FaceTrack, known: _Fitted) -> FittedClip:
+    """A clip of the frames in which a face was found; the others are filled from their neighbours."""
+    frames, at = np.arange(len(track.points)), np.flatnonzero(track.found)
 
     def filled(values: FloatArray) -> FloatArray:
-        flat = values.reshape(len(values), -1)
-        columns = [np.interp(np.arange(frames), known, column) for column in flat.T]
-        return np.stack(columns, 1).reshape(frames, *values.shape[1:]).astype(np.float32)
+        if len(at) == len(frames):
+            return values.astype(np.float32)
+        columns = [np.interp(frames, at, column) for column in values.reshape(len(at), -1).T]
+        return np.stack(columns, 1).reshape(len(frames), *values.shape[1:]).astype(np.float32)
 
-    own = filled(weights)
-    basis = model.landmark_basis.reshape(len(model.expression_names), -1)
-    depth = -1 / scale
-    place = torch.cat([shift / scale[:, None], (depth / depth.mean())[:, None]], 1)
-    errors = filled(error.numpy())
-    turns = rotation.numpy()
-    return FittedClip(
-        track=track,
-        weights=own,
-        landmarks=(own @ basis).reshape(frames, 68, 3).astype(np.float32),
-        rotation=turns if len(turns) == frames else turns[near],
-        shift=filled((place - place.mean(0)).numpy()),
-        error_px=errors,
-        good=track.found & (errors < _LOST_PX),
-        gap=filled(gap),
-        width=filled(width.numpy()),
-    )
+    nearest = np.searchsorted((at[1:] + at[:-1]) / 2, frames)
+    values = {f.name: filled(getattr(known, f.name)) for f in fields(known)}
+    values["rotation"] = known.rotation[nearest]
+    values["shift"] = values["shift"] - values["shift"].mean(0)
+    return FittedClip(track=track, good=track.found & (values["error_px"] < _LOST_PX), **values)

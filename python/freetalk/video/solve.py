@@ -103,9 +103,15 @@ def canonical(points: Tensor, poses: Poses) -> Tensor:
     return torch.einsum("tji,tpj->tpi", poses.rotation, flat) / poses.scale[:, None, None]
 
 
+def project(shape: Tensor, poses: Poses) -> Tensor:
+    """Points (T, P, 3) of the face in the image and their depth, (T, P, 3) px."""
+    seen = poses.scale[:, None, None] * torch.einsum("tij,tpj->tpi", poses.rotation, shape)
+    return torch.cat([seen[..., :2] + poses.shift[:, None], seen[..., 2:]], -1)
+
+
 def solve(
     points: Tensor, first: Tensor, face: FaceBasis, start: Poses, options: SolveOptions
-) -> tuple[Tensor, Poses, Tensor]:
+) -> tuple[Tensor, Poses]:
     """Pose and weights of every frame.
 
     Args:
@@ -116,7 +122,7 @@ def solve(
         options: what to trust.
 
     Returns:
-        weights (T, E) in [0, 1], poses, and the distances (T, P) px of the points to their reprojections.
+        weights (T, E) in [0, 1], and poses.
     """
     frames, expressions = len(points), len(face.basis)
     weights = points.new_zeros(frames, expressions)
@@ -145,17 +151,15 @@ def solve(
         weights = (weights + change[:, _POSE:]).clamp(0, 1)
         poses = _moved(poses, change[:, :_POSE])
         residual = _residuals(points, weights, poses, face)
-    return weights, poses, residual[..., :2].norm(dim=-1)
+    return weights, poses
 
 
 def _residuals(points: Tensor, weights: Tensor, poses: Poses, face: FaceBasis) -> Tensor:
     """(T, P, 3) tracked minus projected points, px; depth relative to its mean."""
     shape = face.neutral + torch.einsum("te,epi->tpi", weights, face.basis)
-    seen = poses.scale[:, None, None] * torch.einsum("tij,tpj->tpi", poses.rotation, shape)
-    bias = poses.scale[:, None] * face.depth_bias
-    depth = points[..., 2] - seen[..., 2] - bias
-    flat = points[..., :2] - seen[..., :2] - poses.shift[:, None]
-    return torch.cat([flat, (depth - depth.mean(1, keepdim=True))[..., None]], -1)
+    apart = points - project(shape, poses)
+    depth = apart[..., 2] - poses.scale[:, None] * face.depth_bias
+    return torch.cat([apart[..., :2], (depth - depth.mean(1, keepdim=True))[..., None]], -1)
 
 
 def _jacobian(weights: Tensor, poses: Poses, face: FaceBasis) -> Tensor:
