@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -53,11 +54,14 @@ def from_video(arguments: argparse.Namespace) -> None:
     check_writable(Path(arguments.out))
     from tqdm import tqdm
 
-    from freetalk.video import fit_talker, tracks_by_talker, write_dataset
+    from freetalk.video import fit_talker, save_fit_picture, tracks_by_talker, write_dataset
 
     tracks = tracks_by_talker([Path(source) for source in arguments.sources], arguments.talkers)
     talkers = [fit_talker(clips) for clips in tqdm(tracks.values(), "talkers")]
     report = write_dataset(Path(arguments.out), talkers, arguments.split)
+    for talker in talkers:
+        with suppress(RuntimeError):  # without matplotlib there is no picture
+            save_fit_picture(talker, Path(arguments.out) / "fit" / f"{talker.name}.png")
     for name, own in report["talkers"].items():
         print(
             f"{name}: {own['clips']} clips, {own['frames']} frames; points {own['error_px']:.2f} px off, opening "

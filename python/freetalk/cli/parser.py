@@ -267,36 +267,12 @@ def _add_data(commands: Any) -> None:
     parser.add_argument("--quick", action="store_true", help="do not read sound and motion")
     parser.add_argument("--json", metavar="FILE", help="also write the report to this file")
 
-    _add_from_video(nested)
-
-
-def _add_from_video(nested: Any) -> None:
     parser = _command(
-        nested,
-        "from-video",
-        "data:from_video",
-        "make a dataset of videos of talking faces",
-        description=(
-            "Tracks the face in each video with MediaPipe (pip install 'freetalk[faces]'), or takes points "
-            "tracked already (a folder with tracks.npz and audio/NAME.flac, see freetalk.video.read_tracks), "
-            "fits ICT-FaceKit to them and writes landmarks, expression weights, head pose and sound as a "
-            "dataset to train on; report.json says how well they fit and which clips were left out."
-        ),
+        nested, "from-video", "data:from_video", "make a dataset of videos of talking faces"
     )
-    parser.add_argument("sources", nargs="+", metavar="SOURCE", help="videos, or folders of either")
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder to make")
-    parser.add_argument(
-        "--talkers",
-        choices=("folder", "file"),
-        default="folder",
-        help="the clips of a folder show one talker, or each its own",
-    )
-    parser.add_argument(
-        "--split",
-        choices=("auto", "train", "val", "test"),
-        default="auto",
-        help="of all clips; auto splits eight talkers and more by talker, fewer by clip",
-    )
+    from freetalk.cli.video_options import add_video_options
+
+    add_video_options(parser)
 
 
 def _add_mesh(commands: Any) -> None:

@@ -47,8 +47,7 @@ from freetalk.train.task_options import AtsTaskOptions
 
 _VALIDATION_SEED = 30
 # Frames and denoising steps of a sample to look at.
-_SAMPLE_FRAMES = 90
-_SAMPLE_STEPS = 25
+_SAMPLE_FRAMES, _SAMPLE_STEPS = 90, 25
 _VALIDATION_TIMESTEPS = (0.15, 0.5, 0.85, 1.0)
 #: Smallest spread that a coordinate is divided by, relative to the mean one.
 _SPREAD_FLOOR = 0.15
