@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from freetalk.cli.motion_options import DEFAULT_WEIGHTS, add_decoding, add_device, add_diffusion
-from freetalk.cli.numbers import at_least_one, positive, seed
+from freetalk.cli.numbers import at_least_one, natural, positive, seed
 from freetalk.cli.score_options import add_evaluate, add_predict
 
 UNITS = ("auto", "m", "cm", "mm", "in")
