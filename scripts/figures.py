@@ -24,7 +24,7 @@ import freetalk as ft
 from freetalk import viz
 from freetalk._pretrained import PRETRAINED
 from freetalk.corpus import assets
-from freetalk.data import FaceMesh, MotionSequence, OpenCorpus, lip_opening
+from freetalk.data import Dataset, FaceMesh, MotionSequence, lip_opening, open_dataset
 from freetalk.stm import Stm
 from freetalk.train.stm_meshes import prepare_mesh
 
@@ -44,7 +44,7 @@ class Still:
         topology: meshing of its test split.
     """
 
-    def __init__(self, corpus: OpenCorpus, topology: str) -> None:
+    def __init__(self, corpus: Dataset, topology: str) -> None:
         self.corpus, self.topology = corpus, topology
         self.identity = corpus.identities("test")[0]
         self.mesh: FaceMesh = corpus.mesh(self.identity, topology)
@@ -127,7 +127,7 @@ def draw_emotions(talker: ft.Talker, mesh: ft.Mesh, audio: ft.Audio, out: Path) 
 
 
 def draw_topologies(
-    talker: ft.Talker, corpus: OpenCorpus, names: list[str], audio: ft.Audio, out: Path
+    talker: ft.Talker, corpus: Dataset, names: list[str], audio: ft.Audio, out: Path
 ) -> Path:
     """Rows are meshings of the test split on different faces, columns moments of the speech."""
     people = corpus.identities("test")
@@ -172,7 +172,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--topology", default="", help="test meshing of errors and attention")
     parser.add_argument("--seconds", type=float, default=4.0, help="of speech")
     given = parser.parse_args(arguments)
-    corpus = OpenCorpus(given.data)
+    corpus = open_dataset(given.data)
     unseen = corpus.topologies("test")
     own = given.pretrained / "stm"
     compared = [(name, Path(path)) for name, _, path in (text.partition("=") for text in given.stm)]

@@ -41,7 +41,7 @@ from freetalk.corpus.topologies import (
     short_diagonals,
     subdivide,
 )
-from freetalk.data import MotionSequence, OpenCorpus
+from freetalk.data import Dataset, MotionSequence, open_dataset
 from freetalk.evaluate.writers import plain_table
 from freetalk.geometry import surface_operators
 from freetalk.stm import Stm
@@ -77,7 +77,7 @@ def without_faces(faces: npt.NDArray[Any], share: float, seed: int) -> npt.NDArr
     return faces[np.sort(rng.permutation(len(faces))[round(share * len(faces)) :])]
 
 
-def windows(corpus: OpenCorpus, count: int, frames: int) -> Iterator[tuple[MotionSequence, int]]:
+def windows(corpus: Dataset, count: int, frames: int) -> Iterator[tuple[MotionSequence, int]]:
     """`count` stretches of each source of motion of the test split, drawn at random."""
     rng = np.random.default_rng(0)
     moving = [s for s in corpus.sequences("test") if s.num_frames >= frames and s.source != "rest"]
@@ -96,7 +96,7 @@ def carried(carry: sp.csr_matrix, motion: FloatArray) -> FloatArray:
 class Heads:
     """One network, one head after the other."""
 
-    def __init__(self, model: Stm, corpus: OpenCorpus, arguments: argparse.Namespace) -> None:
+    def __init__(self, model: Stm, corpus: Dataset, arguments: argparse.Namespace) -> None:
         self.model, self.corpus, self.arguments = model, corpus, arguments
         self.source = load_face_model()
         frames = arguments.frames
@@ -187,7 +187,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="JSON file to write")
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
-    corpus = OpenCorpus(arguments.corpus)
+    corpus = open_dataset(arguments.corpus)
     heads = Heads(Stm.from_pretrained(arguments.pretrained / "stm").eval(), corpus, arguments)
     meshings = {"original": crop(heads.source, ORIGINAL)}
     meshings |= {name: MESHINGS[name](heads.source) for name in arguments.meshings}

@@ -15,6 +15,7 @@ import soundfile
 from scipy.spatial import Delaunay
 
 from freetalk.corpus.assets import load_face_model
+from freetalk.data import import_dataset
 from freetalk.data.emotions import EMOVOCA_LABELS
 
 FLAME, BIWI_6, MULTIFACE = (5023, 9976), (3895, 7539), (5471, 10837)
@@ -280,6 +281,13 @@ def write_folder(
     if not sparse:
         (folder / "landmarks68.json").write_text(json.dumps({"landmarks": indices.tolist()}))
     return folder
+
+
+def packed(directory: Path, **options: Any) -> Path:
+    """What an import makes of a release, beside it."""
+    return import_dataset(
+        "auto", directory, directory.with_name(f"{directory.name}-packed"), **options
+    )
 
 
 Writer = Callable[[Path], Path]

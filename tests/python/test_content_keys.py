@@ -14,8 +14,7 @@ from mini_corpus import write_mini_corpus
 
 from freetalk._files import content_hash, replacing, write_text
 from freetalk._pretrained import PRETRAINED
-from freetalk.data import OpenCorpus, open_dataset
-from freetalk.data.landmark_cache import LandmarkCache
+from freetalk.data import DatasetError, import_dataset, open_dataset
 from freetalk.data.templates import read_mesh
 from freetalk.tables.definitions import Recipes
 from freetalk.tables.sets import Catalogue
@@ -31,30 +30,41 @@ def changed_in_place(path: Path, change: Callable[[Path], None]) -> None:
     os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
 
 
-def test_another_neutral_face_is_another_dataset(tmp_path: Path) -> None:
+def test_other_content_is_another_import(tmp_path: Path) -> None:
     directory = write_folder(tmp_path / "own", frames=20, fps=25)
-    before = open_dataset(directory)
-    landmarks = before.landmarks(before.sequences("train")[0])
-    meshes = sorted((directory / "templates").glob("*.ply"))
-    assert meshes
 
     def raise_face(path: Path) -> None:
         vertices, faces = read_mesh(path)
         write_ply(path, vertices + np.float32([0, 0.001, 0]), faces)
 
-    for mesh in meshes:
-        changed_in_place(mesh, raise_face)
-    after = open_dataset(directory)
-    assert after.fingerprint != before.fingerprint
-    # Landmarks are displacements from the neutral face, which is 1 mm higher; the cache must not answer.
-    moved = landmarks - after.landmarks(after.sequences("train")[0])
-    np.testing.assert_allclose(moved[..., 1], 0.001, atol=1e-6)
+    def relabel(path: Path) -> None:
+        path.write_text(path.read_text().replace("ann,Happy", "ann,angry"))
+
+    def lift(path: Path) -> None:
+        motion = np.load(path)
+        motion[3] += 0.001
+        np.save(path, motion)
+        os.utime(path)
+
+    seen = [open_dataset(import_dataset("folder", directory, tmp_path / "0", name="own"))]
+    for number, (name, change) in enumerate(
+        (("templates/ann.ply", raise_face), ("labels.csv", relabel), ("motion/ann_1.npy", lift))
+    ):
+        changed_in_place(directory / name, change) if change is not lift else lift(directory / name)
+        with pytest.raises(DatasetError, match="holds another dataset"):
+            import_dataset("folder", directory, tmp_path / "0", name="own")
+        out = import_dataset("folder", directory, tmp_path / f"{number + 1}", name="own")
+        seen.append(open_dataset(out))
+    assert len({dataset.fingerprint for dataset in seen}) == 4
+    # Landmarks are displacements from the neutral face, which is 1 mm higher.
+    first, second = (d.landmarks(d.sequences("train")[0]) for d in seen[:2])
+    np.testing.assert_allclose((first - second)[..., 1], 0.001, atol=1e-6)
 
 
-def test_another_flame_is_another_dataset(tmp_path: Path) -> None:
+def test_another_flame_is_another_import(tmp_path: Path) -> None:
     directory = write_mead_emote(tmp_path / "mead")
-    before = open_dataset(directory).fingerprint
-    assert open_dataset(directory).fingerprint == before
+    before = import_dataset("mead", directory, tmp_path / "out")
+    assert import_dataset("mead", directory, tmp_path / "out") == before
     (model,) = directory.rglob("flame.npz")
 
     def bend(path: Path) -> None:  # the bases alone: neutral faces stay
@@ -63,36 +73,26 @@ def test_another_flame_is_another_dataset(tmp_path: Path) -> None:
         np.savez(path, **arrays)
 
     changed_in_place(model, bend)
-    assert open_dataset(directory).fingerprint != before
+    with pytest.raises(DatasetError, match="holds another dataset"):
+        import_dataset("mead", directory, tmp_path / "out")
 
 
-@pytest.mark.parametrize("name", ["landmarks.npy", "weights.npy", "manifest.json", "fine.npz"])
-def test_another_content_is_another_corpus(name: str, tmp_path: Path) -> None:
+def test_a_manifest_that_was_changed_is_another_dataset(tmp_path: Path) -> None:
     corpus = write_mini_corpus(tmp_path / "corpus")
-    before = OpenCorpus(corpus).fingerprint
-    (path,) = corpus.rglob(name)
-
-    def change(file: Path) -> None:
-        if file.suffix == ".npy":
-            array = np.load(file)
-            array[0] += 0.001
-            np.save(file, array)
-        elif file.suffix == ".json":
-            file.write_text(file.read_text().replace('"intensity": 2.0', '"intensity": 3.0'))
-        else:
-            arrays = dict(np.load(file))
-            arrays["lip_mask"] = ~arrays["lip_mask"]
-            np.savez(file, **arrays)
-
-    changed_in_place(path, change)
-    assert OpenCorpus(corpus).fingerprint != before
+    before = open_dataset(corpus).fingerprint
+    path = corpus / "manifest.json"
+    changed_in_place(
+        path, lambda p: p.write_text(p.read_text().replace('"intensity": 2.0', '"intensity": 3.0'))
+    )
+    assert open_dataset(corpus).fingerprint != before
+    assert open_dataset(write_mini_corpus(tmp_path / "other", 1)).fingerprint != before
 
 
 def test_a_moved_corpus_is_the_same(tmp_path: Path) -> None:
     corpus = write_mini_corpus(tmp_path / "corpus")
-    before = OpenCorpus(corpus).fingerprint
+    before = open_dataset(corpus).fingerprint
     shutil.move(corpus, tmp_path / "elsewhere")
-    assert OpenCorpus(tmp_path / "elsewhere").fingerprint == before
+    assert open_dataset(tmp_path / "elsewhere").fingerprint == before
 
 
 def test_another_encoder_is_another_training(tmp_path: Path) -> None:
@@ -113,28 +113,6 @@ def test_another_encoder_is_another_training(tmp_path: Path) -> None:
     flip(encoder / "model.safetensors")
     assert recipes.ats(("VOCASET",)).key(catalogue) != before
     assert recipes.stm(("VOCASET",)).key(catalogue) == stm  # it hears nothing
-
-
-def test_landmarks_are_on_the_disk_before_they_are_marked(tmp_path: Path) -> None:
-    cache = LandmarkCache(tmp_path, 8, 2)
-    flushed: list[tuple[float, int]] = []
-    real = cache._landmarks.flush
-
-    def flush() -> None:
-        flushed.append((float(cache._landmarks[4, 0, 0]), int(cache._done[1])))
-        real()
-
-    cache._landmarks.flush = flush  # type: ignore[method-assign]
-    cache.get(1, 4, 4, lambda: np.full((4, 68, 3), 2.0, np.float32))
-    assert flushed == [(2.0, 0)]
-    assert cache._done[1] == 1
-    with pytest.raises(RuntimeError, match="no landmarks"):
-
-        def fail() -> np.ndarray:
-            raise RuntimeError("no landmarks")
-
-        cache.get(0, 0, 4, fail)
-    assert cache._done[0] == 0
 
 
 def test_a_writer_that_fails_leaves_the_old_file(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import pickle
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.io
-from dataset_layouts import face, landmark_indices, write_flame, write_folder, write_ply
+from dataset_layouts import (
+    face,
+    landmark_indices,
+    packed,
+    write_flame,
+    write_folder,
+    write_ply,
+)
 
 from freetalk.cli.app import main
 from freetalk.corpus import emotion as corpus_emotion
@@ -29,10 +35,10 @@ from freetalk.data import (
     read_mask,
 )
 from freetalk.data.emotions import EMOVOCA_LABELS, LABELS, SYNONYMS, emotion_of, intensity_of
-from freetalk.data.flame import read_flame, rotation_matrices
+from freetalk.data.flame import read_flame
 from freetalk.data.landmark_transfer import LinearFace, fit_face, propose_landmarks, region_masks
 from freetalk.data.pose import find_pose
-from freetalk.data.splits import SCHEMES, scheme_of
+from freetalk.data.splits import SCHEMES, schemes_of
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 SIZE = (400, 760)
@@ -124,33 +130,11 @@ def test_the_unit_is_told_from_the_eyes(unit: str, scale: float) -> None:
         find_pose([vertices], [marks], "ft")
 
 
-def test_flame_poses_as_the_published_equations(tmp_path: Path) -> None:
+def test_what_flame_lacks_is_named(tmp_path: Path) -> None:
     arrays = write_flame(tmp_path / "flame.npz")
-    flame = read_flame(tmp_path / "flame.npz")
-    rng = np.random.default_rng(1)
-    shape, expression = rng.normal(size=300), rng.normal(size=(3, 100))
-    jaw = rng.normal(0, 0.2, (3, 3))
-    found = flame.posed(flame.neutral(shape), expression, jaw)
-    for frame in range(3):  # the whole chain: global, neck, jaw, two eyes
-        coefficients = np.concatenate([shape, expression[frame]])
-        shaped = arrays["v_template"] + arrays["shapedirs"] @ coefficients
-        joints = arrays["J_regressor"] @ shaped
-        turns = np.repeat(np.eye(3)[None], 5, axis=0)
-        turns[2] = rotation_matrices(jaw[frame : frame + 1])[0]
-        feature = (turns[1:] - np.eye(3)).ravel()
-        posed = shaped + arrays["posedirs"] @ feature
-        world = np.zeros((5, 4, 4))
-        for joint, parent in enumerate((-1, 0, 1, 1, 1)):
-            local = np.eye(4)
-            local[:3, :3] = turns[joint]
-            local[:3, 3] = joints[joint] - (joints[parent] if parent >= 0 else 0)
-            world[joint] = local if parent < 0 else world[parent] @ local
-        for joint in range(5):
-            world[joint, :3, 3] -= world[joint, :3, :3] @ joints[joint]
-        blended = np.einsum("vj,jab->vab", arrays["weights"], world)
-        points = np.concatenate([posed, np.ones((len(posed), 1))], axis=1)
-        true = np.einsum("vab,vb->va", blended, points)[:, :3]
-        np.testing.assert_allclose(found[frame], true, atol=2e-6)  # float32 against float64, m
+    assert read_flame(tmp_path / "flame.npz").arrays(50)["expression_basis"].shape == (59, 5023, 3)
+    with pytest.raises(DatasetError, match="has 100 expressions, the takes 101"):
+        read_flame(tmp_path / "flame.npz").arrays(101)
     arrays.pop("posedirs")
     np.savez(tmp_path / "flame.npz", **arrays)
     with pytest.raises(DatasetError, match="lacks posedirs"):
@@ -163,11 +147,12 @@ def test_splits_have_the_papers_sizes() -> None:
     ):  # fmt: skip
         assert tuple(len(v) for v in SCHEMES[kind][0].speakers.values()) == sizes
     actors = [f"M{n:03d}" for n in range(3, 30)] + [f"W{n:03d}" for n in range(9, 29)]
-    drawn = scheme_of("mead", "", actors).speakers
+    first, emote = schemes_of("mead", actors)
+    drawn = first.speakers
     assert tuple(len(v) for v in drawn.values()) == (36, 5, 6)
     assert sorted(sum(drawn.values(), ())) == actors
-    assert drawn == scheme_of("mead", "freetalk", actors[::-1]).speakers
-    emote = scheme_of("mead", "emote", actors)
+    assert drawn == schemes_of("mead", actors[::-1])[0].speakers
+    assert (first.name, emote.name) == ("freetalk", "emote")
     assert emote.of("M003") == emote.of("W009") == "train"
     assert emote.of("M029") == emote.of("W028") == "test"
     voca = SCHEMES["vocaset"][0]
@@ -259,25 +244,7 @@ def test_the_users_own_files_serve_every_dataset(
     (folder / "landmarks68.json").rename(home / "landmarks.json")
     (home / "lip_mask.txt").write_text("7 3 12 399")
     monkeypatch.setenv("FREETALK_TEMPLATES", str(tmp_path / "mine"))
-    described = open_dataset(folder).describe()
+    described = open_dataset(packed(folder)).describe()
     assert described["landmarks"]["source"] == str(home / "landmarks.json")
     assert described["lip_mask"]["sha256"] == index_hash(np.sort(LIPS))
     assert described["upper_face_mask"] is None
-
-
-def test_the_check_command_prints_what_a_dataset_is(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = write_folder(tmp_path / "own")
-    assert main(["data", "check", f"MINE={folder}", "--json", str(tmp_path / "r.json")]) == 0
-    printed = capsys.readouterr().out
-    assert re.search(r"landmarks: 68 \([0-9a-f]{16}\) from .*landmarks68\.json", printed)
-    assert "name: MINE" in printed
-    assert "emotions: neutral 3, angry 3, happy 3" in printed
-    assert "ready to train" in printed
-    assert json.loads((tmp_path / "r.json").read_text())["errors"] == []
-    (folder / "wav" / "ann_0.wav").unlink()
-    assert main(["data", "check", str(folder)]) == 2
-    out = capsys.readouterr()
-    assert "error: sequence ann_0 has no sound" in out.out
-    assert "has 1 error, listed above" in out.err

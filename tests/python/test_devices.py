@@ -21,7 +21,7 @@ from test_nn_diffusion_net import wavy_grid
 from torch import Tensor, nn
 
 from freetalk.ats import Ats, GenerateOptions, generate
-from freetalk.data import OpenCorpus
+from freetalk.data import open_dataset
 from freetalk.geometry import concatenate, surface_operators
 from freetalk.nn import DiffusionNet, PoissonNet
 from freetalk.speech import FeatureAdapter, SpeechEncoder, encode_speech
@@ -340,7 +340,7 @@ def both_tasks(
     config = load_config(kind, CONFIGS / f"{kind}_smoke.yaml", ["loop.device=cpu"])
     make = {"ats": ats_task.AtsTask, "stm": stm_task.StmTask}[kind]
     room, name = {"ats": (ats_task, "Ats"), "stm": (stm_task, "Stm")}[kind]
-    host = make(config, OpenCorpus(corpus), out, torch.device("cpu"))
+    host = make(config, open_dataset(corpus), out, torch.device("cpu"))
     original = getattr(room, name)
 
     def made_there(options: Any) -> Any:
@@ -348,7 +348,7 @@ def both_tasks(
             return original(options)
 
     monkeypatch.setattr(room, name, made_there)
-    device = make(config, OpenCorpus(corpus), out, DEVICE)
+    device = make(config, open_dataset(corpus), out, DEVICE)
     copy_state(host.model, device.model)
     return host, device
 

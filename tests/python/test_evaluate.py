@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from dataset_layouts import write_folder
+from dataset_layouts import packed, write_folder
 from mini_corpus import write_mini_corpus
 
 from freetalk.ats import Ats, AtsOptions, GenerateOptions, generate, generate_batch
 from freetalk.cli import main
-from freetalk.data import OpenCorpus, open_dataset
+from freetalk.data import Dataset, open_dataset
+from freetalk.data.pose import METRES
 from freetalk.evaluate import NearestCentroid, closures, correlation, log_energy
 from freetalk.evaluate.dataset_truth import DatasetTruth
 from freetalk.evaluate.motion_files import read_motion
@@ -101,7 +102,7 @@ def test_all_scores_of_a_small_corpus(
 
 @pytest.mark.usefixtures("own_cache")
 def test_weights_are_scored_on_any_dataset(weights: Path, tmp_path: Path) -> None:
-    own = write_folder(tmp_path / "own", frames=50, fps=25)
+    own = packed(write_folder(tmp_path / "own", frames=50, fps=25))
     scores = measure(open_dataset(own), weights, samples=2, steps=2, device="cpu")
     assert scores.keys() == {"stm", "opening", "emotions"}  # no phones are known
     assert scores["stm"]["relative_error"] > 0 and scores["opening"]["frames"] >= 50
@@ -125,7 +126,7 @@ def test_predictions_of_true_landmarks_score_as_the_network_does(
     out = tmp_path / "out"
     given = f"predict --data {corpus} --pretrained {weights} --driver landmarks --device cpu"
     assert main([*given.split(), "--out", str(out)]) == 0
-    dataset = OpenCorpus(corpus)
+    dataset = open_dataset(corpus)
     clip = dataset.sequences("test")[0]
     mesh = LandmarksToMesh(weights / "stm", "cpu")
     expected = mesh.vertices(dataset, clip.identity, "finest", dataset.landmarks(clip)).numpy()
@@ -146,7 +147,7 @@ def test_predictions_of_true_landmarks_score_as_the_network_does(
 def test_a_stopped_prediction_goes_on_and_another_one_is_refused(
     weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    own = write_folder(tmp_path / "own", frames=50, fps=25)
+    own = packed(write_folder(tmp_path / "own", frames=50, fps=25))
     out = tmp_path / "out"
     given = f"predict --data {own} --pretrained {weights} --samples 2 --steps 2 --device cpu"
     command = [*given.split(), "--out", str(out)]
@@ -167,9 +168,12 @@ def test_a_stopped_prediction_goes_on_and_another_one_is_refused(
 
 
 @pytest.mark.usefixtures("own_cache")
-def test_predictions_lie_in_the_axes_of_the_datasets_files(weights: Path, tmp_path: Path) -> None:
-    dataset = open_dataset(write_folder(tmp_path / "own", frames=50, fps=25))
-    dataset.pose = replace(dataset.pose, rotation=np.eye(3, dtype=np.float32)[[1, 2, 0]])
+def test_predictions_lie_in_the_axes_of_the_datasets_files(
+    weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dataset = open_dataset(packed(write_folder(tmp_path / "own", frames=50, fps=25)))
+    turned = replace(METRES, rotation=np.eye(3, dtype=np.float32)[[1, 2, 0]])
+    monkeypatch.setattr(Dataset, "source_frame", lambda *_: (turned, np.zeros(3, np.float32)))
     options = PredictOptions(driver="landmarks")
     predict(dataset, weights, tmp_path / "out", options, device="cpu")
     truth = DatasetTruth(dataset, "test", None)

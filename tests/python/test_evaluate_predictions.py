@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 import soundfile
-from dataset_layouts import write_scantalk
+from dataset_layouts import packed, write_scantalk
 from mini_corpus import write_mini_corpus
 
 from freetalk.cli import main
-from freetalk.data import OpenCorpus
+from freetalk.data import open_dataset
 from freetalk.evaluate.masks import KNOWN_MASKS, describe_masks
 from freetalk.evaluate.motion_files import NameMatcher, motion_paths, read_motion, speaker_of
 from freetalk.evaluate.writers import number
@@ -427,7 +427,8 @@ def test_a_dataset_is_ground_truth_in_its_files_unit_and_axes(tmp_path: Path) ->
     (tmp_path / "pred").mkdir()
     from freetalk.data import open_dataset
 
-    dataset = open_dataset(directory)
+    data = packed(directory)
+    dataset = open_dataset(data)
     sequences = dataset.sequences("test")
     assert sequences
     rng = np.random.default_rng(0)
@@ -442,7 +443,7 @@ def test_a_dataset_is_ground_truth_in_its_files_unit_and_axes(tmp_path: Path) ->
             tmp_path / "pred" / path.name, (frames + noise).reshape(-1, *shape[1:]).astype("f4")
         )
         errors.append(np.linalg.norm(noise, axis=2).mean(axis=1))
-    given = f"evaluate --pred {tmp_path / 'pred'} --gt {directory} --metrics paper --strict"
+    given = f"evaluate --pred {tmp_path / 'pred'} --gt {data} --metrics paper --strict"
     out = tmp_path / "scores.json"
     assert main([*given.split(), "--resamples", "200", "--out", str(out)]) == 0
     report = json.loads(out.read_text())
@@ -456,7 +457,7 @@ def test_a_dataset_is_ground_truth_in_its_files_unit_and_axes(tmp_path: Path) ->
 
 def test_landmarks_of_the_open_corpus_are_scored(tmp_path: Path) -> None:
     directory = write_mini_corpus(tmp_path / "corpus")
-    corpus = OpenCorpus(directory)
+    corpus = open_dataset(directory)
     (tmp_path / "pred").mkdir()
     for sequence in corpus.sequences("test"):
         motion = corpus.landmarks(sequence) + np.float32([0, 0.002, 0])

@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from dataset_layouts import write_folder
+from dataset_layouts import packed, write_folder
 from mini_corpus import write_mini_corpus
 
 from freetalk.corpus.topologies import TOPOLOGIES
-from freetalk.data import OpenCorpus, open_dataset
+from freetalk.data import open_dataset
+from freetalk.data.resampling import resample_frames
 from freetalk.evaluate.motion_files import Origin
 from freetalk.stm import Stm
 from freetalk.tables import main
@@ -29,7 +30,7 @@ from freetalk.tables.scoring import lip_edges, roughness
 from freetalk.tables.sets import FULL_FAMILIES, OPEN_SETS, SMALL_FAMILIES, Catalogue, parse_sets
 from freetalk.tables.sizes import SIZES, TINY
 from freetalk.tables.table import TableRun, merged
-from freetalk.tables.views import DatasetView, ViewOptions
+from freetalk.tables.views import ViewOptions, faces_of, view_of
 from freetalk.train.stm_meshes import prepare_mesh
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -46,7 +47,7 @@ def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = write_folder(tmp_path_factory.mktemp("own") / "own", frames=50, fps=25)
     (folder / "lip_mask.json").write_text(json.dumps(list(range(20, 40))))
     (folder / "upper_mask.json").write_text(json.dumps(list(range(60, 90))))
-    return folder
+    return packed(folder)
 
 
 def neutral_sets(corpus: Path) -> list[str]:
@@ -56,35 +57,25 @@ def neutral_sets(corpus: Path) -> list[str]:
 # views
 
 
-def test_a_view_at_a_third_of_the_rate_has_every_third_frame(corpus: Path) -> None:
-    base = OpenCorpus(corpus)
-    view = DatasetView(base, "part", ViewOptions(fps=10.0))
-    sequence = view.sequences("train")[0]
-    whole = next(s for s in base.sequences("train") if s.id == sequence.id)
-    np.testing.assert_array_equal(view.landmarks(sequence), base.landmarks(whole)[::3])
-    assert sequence.num_frames == len(view.landmarks(sequence)) == -(-whole.num_frames // 3)
-    topology = view.topologies("train")[0]
-    np.testing.assert_array_equal(
-        view.vertex_displacements(topology, sequence, 4, 9),
-        base.vertex_displacements(topology, whole)[12:27:3],
-    )
-
-
-def test_a_view_at_another_rate_lies_on_the_lines_between_frames(own: Path) -> None:
-    base = open_dataset(own)
-    view = DatasetView(base, "part", ViewOptions(fps=10.0))
-    sequence = view.sequences("train")[0]
-    whole = next(s for s in base.sequences("train") if s.id == sequence.id)
-    frames = base.landmarks(whole)
-    # 25 fps: frame 3 of the view is frame 7.5 of the dataset; sums of two float32 numbers.
-    np.testing.assert_allclose(
-        view.landmarks(sequence, 3, 4)[0], (frames[7] + frames[8]) / 2, atol=1e-8
-    )
+def test_a_view_at_another_rate_is_the_motion_resampled(corpus: Path, own: Path) -> None:
+    for folder, fps in ((corpus, 30.0), (own, 25.0)):
+        base = open_dataset(folder)
+        view = view_of(base, "part", ViewOptions(fps=10.0, clip_frames=8))
+        first, second = view.sequences("train")[:2]
+        whole = next(s for s in base.sequences("train") if first.id == f"{s.id}-0")
+        expected = resample_frames(base.landmarks(whole), fps, 10.0)
+        np.testing.assert_array_equal(view.landmarks(first), expected[:8])
+        np.testing.assert_array_equal(view.landmarks(second, 1, 4), expected[9:12])
+        topology = str(second.topology or view.topologies("train")[0])
+        moved = resample_frames(base.vertex_displacements(topology, whole), fps, 10.0)
+        # Factors are resampled before they are multiplied: float32 sums in another order.
+        found = view.vertex_displacements(topology, second, 1, 4)
+        np.testing.assert_allclose(found, moved[9:12], atol=1e-7)
 
 
 def test_clips_cover_a_sequence_with_its_sound(corpus: Path) -> None:
-    base = OpenCorpus(corpus)
-    view = DatasetView(base, "part", ViewOptions(clip_frames=30, min_frames=10))
+    base = open_dataset(corpus)
+    view = view_of(base, "part", ViewOptions(clip_frames=30, min_frames=10))
     whole = base.sequences("train", ["facegood"])[0]  # 75 frames: 30, 30, 15
     clips = [s for s in view.sequences("train") if s.id.startswith(whole.id)]
     assert [c.num_frames for c in clips] == [30, 30, 15]
@@ -95,12 +86,16 @@ def test_clips_cover_a_sequence_with_its_sound(corpus: Path) -> None:
     assert len(view.audio(clips[0])) == 16000
 
 
-def test_a_view_takes_every_other_clip_of_training_and_limits_the_rest(corpus: Path) -> None:
+def test_a_view_takes_every_other_sequence_of_training_and_test(corpus: Path) -> None:
     options = ViewOptions(fps=10.0, clip_frames=10, every=2, limits={"test": 3})
-    view = DatasetView(OpenCorpus(corpus), "part", options)
-    whole = DatasetView(OpenCorpus(corpus), "part", ViewOptions(fps=10.0, clip_frames=10))
-    expected = [s.id for s in whole.sequences("train")][::2]
-    assert [s.id for s in view.sequences("train")] == expected
+    base = open_dataset(corpus)
+    view = view_of(base, "part", options)
+    whole = view_of(base, "part", ViewOptions(fps=10.0, clip_frames=10))
+    for split, step in (("train", 2), ("val", 1)):
+        takes = [s.id for s in base.sequences(split)][::step]
+        expected = [s.id for s in whole.sequences(split) if s.name in takes]
+        assert [s.id for s in view.sequences(split)] == expected
+    assert {s.name for s in view.sequences("test")} <= {s.id for s in base.sequences("test")[::2]}
     assert len(view.sequences("test")) == 3
     assert view.fingerprint != whole.fingerprint
 
@@ -307,7 +302,7 @@ def test_a_row_scores_what_its_weights_give(corpus: Path, tmp_path: Path) -> Non
     directory = tmp_path / "trainings" / f"stm-{row['trainings'][0]['key']}" / "stm"
     stm = Stm.from_pretrained(directory).eval()
     view = catalogue.view("BIWI", table.view)
-    clip, identity, topology = view.faces_of("test")[1]
+    clip, identity, topology = faces_of(view, "test")[1]
     options = stm.options
     face = prepare_mesh(view, identity, topology, options.length_scale, options.k_eig)
     landmarks = torch.from_numpy(view.landmarks(clip))
@@ -329,7 +324,7 @@ def test_speech_moves_meshes_of_mixed_datasets(corpus: Path, own: Path, tmp_path
     # Another system that predicts the truth.
     view = Catalogue([f"MEAD-EMOTE={own}"], {}).view("MEAD-EMOTE", TINY.ats)
     (tmp_path / "perfect").mkdir()
-    for clip, _, topology in view.faces_of("test"):
+    for clip, _, topology in faces_of(view, "test"):
         motion = view.vertex_displacements(topology, clip)
         np.savez(tmp_path / "perfect" / f"{clip.id}.npz", displacements=motion)
     arguments += [f"--pred=Perfect={tmp_path / 'perfect'}", "--settings", "2+2,3", "2+2"]
@@ -374,7 +369,7 @@ def test_what_a_table_lacks_is_named(corpus: Path, tmp_path: Path) -> None:
         Catalogue([f"BIWI={corpus}"], {}).view("EmoVOCA", ViewOptions())
     with pytest.raises(ValueError, match=r"stm\.section"):
         Recipes(TINY, 0, ["loop.max_steps=3"])
-    unmasked = write_folder(tmp_path / "own", frames=20, fps=25)
+    unmasked = packed(write_folder(tmp_path / "own", frames=20, fps=25))
     with pytest.raises(ValueError, match="MEAD-EMOTE has no mask of the lips and the upper"):
         main("table_2", ["--size=tiny", f"--data=MEAD-EMOTE={unmasked}", "--settings", "2+2"])
     with pytest.raises(ValueError, match="sideways"):

@@ -11,7 +11,7 @@ import torch
 from mini_corpus import write_mini_corpus
 
 from freetalk.ats import Ats
-from freetalk.data import OpenCorpus
+from freetalk.data import open_dataset
 from freetalk.speech import SpeechEncoder
 from freetalk.stm import Stm
 from freetalk.train import load_config, motion_loss, run
@@ -130,7 +130,7 @@ def test_model_options_are_checked_by_the_model(corpus: Path, tmp_path: Path) ->
 
 
 def test_sampler_keeps_the_shares_of_the_sources(corpus: Path) -> None:
-    sequences = OpenCorpus(corpus).sequences()
+    sequences = open_dataset(corpus).sequences()
     sampler = SequenceSampler(sequences, {"facegood": 3.0, "rom": 1.0})
     rng = np.random.default_rng(0)
     drawn = [sampler.draw(rng).source for _ in range(4000)]
@@ -142,7 +142,7 @@ def test_sampler_keeps_the_shares_of_the_sources(corpus: Path) -> None:
 
 
 def test_targets_are_those_of_the_time_asked_for(corpus: Path) -> None:
-    data = OpenCorpus(corpus)
+    data = open_dataset(corpus)
     sequence = data.sequences("train", ["synthetic"])[0]
     targets = SpeechTargets(data, [sequence])
     labels = [

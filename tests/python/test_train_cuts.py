@@ -9,7 +9,7 @@ import pytest
 import torch
 from mini_corpus import write_mini_corpus
 
-from freetalk.data import FaceMesh, OpenCorpus
+from freetalk.data import FaceMesh, open_dataset
 from freetalk.train.stm_cuts import FaceCuts
 from freetalk.train.stm_meshes import prepare_mesh
 from freetalk.train.stm_windows import FaceWindows
@@ -71,7 +71,7 @@ def test_a_cropped_face_moves_as_the_whole_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FREETALK_CACHE", str(tmp_path / "cache"))
-    corpus = OpenCorpus(write_mini_corpus(tmp_path / "corpus"))
+    corpus = open_dataset(write_mini_corpus(tmp_path / "corpus"))
     identity, topology = corpus.faces("train")[0]
     whole = corpus.mesh(identity, topology)
     kept = np.arange(3, len(whole.vertices))

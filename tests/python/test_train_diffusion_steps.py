@@ -10,7 +10,7 @@ import pytest
 import torch
 from mini_corpus import write_mini_corpus
 
-from freetalk.data import OpenCorpus
+from freetalk.data import Dataset, open_dataset
 from freetalk.data.landmarks import EYES, LIPS, UPPER_FACE
 from freetalk.train.ats import AtsTask
 from freetalk.train.config import load_config
@@ -19,18 +19,18 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 
 
 @pytest.fixture(scope="module")
-def corpus(tmp_path_factory: pytest.TempPathFactory) -> OpenCorpus:
-    return OpenCorpus(write_mini_corpus(tmp_path_factory.mktemp("steps") / "corpus"))
+def corpus(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return open_dataset(write_mini_corpus(tmp_path_factory.mktemp("steps") / "corpus"))
 
 
-def make(corpus: OpenCorpus, out: Path, *overrides: str) -> AtsTask:
+def make(corpus: Dataset, out: Path, *overrides: str) -> AtsTask:
     config = load_config("ats", CONFIGS / "ats_smoke.yaml", list(overrides))
     return AtsTask(config, corpus, out, torch.device("cpu"))
 
 
 @pytest.mark.parametrize(("power", "mean"), [(1.0, 0.5), (3.0, 0.75)])
 def test_the_power_dwells_on_noisy_steps(
-    corpus: OpenCorpus, tmp_path: Path, power: float, mean: float
+    corpus: Dataset, tmp_path: Path, power: float, mean: float
 ) -> None:
     task = make(corpus, tmp_path, f"task.step_power={power}")
     rng = np.random.default_rng(0)
@@ -53,7 +53,7 @@ class Spy:
 
 @pytest.mark.parametrize("rehearsal", [0.0, 1.0])
 def test_a_rehearsed_mouth_is_the_models_own_estimate(
-    corpus: OpenCorpus, tmp_path: Path, rehearsal: float
+    corpus: Dataset, tmp_path: Path, rehearsal: float
 ) -> None:
     task = make(corpus, tmp_path, f"task.rehearsal={rehearsal}", "model.dropout=0")
     rng = np.random.default_rng(1)
@@ -75,7 +75,7 @@ def test_a_rehearsed_mouth_is_the_models_own_estimate(
 
 @pytest.mark.parametrize("weighted, others", [(EYES, LIPS), (LIPS, EYES)])
 def test_eyes_and_lips_weigh_as_asked(
-    corpus: OpenCorpus, tmp_path: Path, weighted: tuple[int, ...], others: tuple[int, ...]
+    corpus: Dataset, tmp_path: Path, weighted: tuple[int, ...], others: tuple[int, ...]
 ) -> None:
     eyes, lips = (3.0 if part is weighted else 1.0 for part in (EYES, LIPS))
     task = make(corpus, tmp_path, f"task.eye_weight={eyes}", f"task.lip_weight={lips}")

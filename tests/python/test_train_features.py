@@ -9,7 +9,7 @@ import pytest
 import torch
 from mini_corpus import write_mini_corpus
 
-from freetalk.data import OpenCorpus
+from freetalk.data import Dataset, open_dataset
 from freetalk.train.augment import change_voice
 from freetalk.train.config import load_config
 from freetalk.train.features import FeatureCache
@@ -19,25 +19,25 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 
 
 @pytest.fixture(scope="module")
-def corpus(tmp_path_factory: pytest.TempPathFactory) -> OpenCorpus:
-    return OpenCorpus(write_mini_corpus(tmp_path_factory.mktemp("features") / "corpus"))
+def corpus(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return open_dataset(write_mini_corpus(tmp_path_factory.mktemp("features") / "corpus"))
 
 
 @pytest.fixture(scope="module")
-def cache(corpus: OpenCorpus, tmp_path_factory: pytest.TempPathFactory) -> FeatureCache:
+def cache(corpus: Dataset, tmp_path_factory: pytest.TempPathFactory) -> FeatureCache:
     config = load_config("ats", CONFIGS / "ats_smoke.yaml", [])
     out = tmp_path_factory.mktemp("task")
     return make_task(config, corpus, out, torch.device("cpu")).features  # type: ignore[union-attr]
 
 
 def test_the_cache_knows_mean_and_spread_of_its_channels(
-    cache: FeatureCache, corpus: OpenCorpus
+    cache: FeatureCache, corpus: Dataset
 ) -> None:
     rows = [
         cache.features(copy, 0, copy.num_frames)
         for split in ("train", "val")
         for sequence in corpus.sequences(split)
-        if sequence.audio is not None
+        if sequence.has_sound
         for copy in cache.copies(sequence)
     ]
     every = np.concatenate(rows).astype(np.float64)
@@ -68,12 +68,12 @@ def test_dropped_features_are_the_mean_and_keep_the_expectation(cache: FeatureCa
 
 
 def test_sources_have_copies_in_other_voices(
-    cache: FeatureCache, corpus: OpenCorpus, tmp_path: Path
+    cache: FeatureCache, corpus: Dataset, tmp_path: Path
 ) -> None:
     config = load_config("ats", CONFIGS / "ats_smoke.yaml", ["task.voices={synthetic: 2}"])
     voiced = make_task(config, corpus, tmp_path, torch.device("cpu")).features  # type: ignore[union-attr]
     for sequence in corpus.sequences("train"):
-        if sequence.audio is None:
+        if not sequence.has_sound:
             continue
         usual, copies = cache.copies(sequence), voiced.copies(sequence)
         assert len(copies) - len(usual) == (2 if sequence.source == "synthetic" else 0)

@@ -10,7 +10,7 @@ from mini_corpus import write_mini_corpus
 
 from freetalk import _native
 from freetalk._pretrained import PRETRAINED
-from freetalk.data import OpenCorpus
+from freetalk.data import open_dataset
 from freetalk.train import load_config, run
 from freetalk.train.initial import initial_weights
 from freetalk.train.run import make_task
@@ -57,7 +57,7 @@ def test_a_training_starts_from_the_shipped_weights(
 def test_the_motion_statistics_are_those_of_the_weights(corpus: Path, tmp_path: Path) -> None:
     options = [*QUICK, *START, "task.feature_augmentations=0"]
     config = load_config("ats", CONFIGS / "ats_small.yaml", options)
-    task = make_task(config, OpenCorpus(corpus), tmp_path, torch.device("cpu"))
+    task = make_task(config, open_dataset(corpus), tmp_path, torch.device("cpu"))
     shipped = tensors(PRETRAINED / "open-small" / "ats")
     assert torch.equal(task.mean, shipped["motion_mean"])
     assert torch.equal(task.spread, shipped["motion_scale"])

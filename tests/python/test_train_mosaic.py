@@ -9,7 +9,7 @@ import pytest
 import torch
 from mini_corpus import write_mini_corpus
 
-from freetalk.data import MotionSequence, OpenCorpus
+from freetalk.data import Dataset, MotionSequence, open_dataset
 from freetalk.train.config import load_config
 from freetalk.train.mosaic import Mosaics, blended, faded
 from freetalk.train.sequences import numpy_generator
@@ -20,7 +20,7 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 
 def take(name: str, emotion: int, intensity: float, fps: float = 30.0) -> MotionSequence:
     return MotionSequence(
-        name, "train", "talk", name, None, 0, 300, emotion, intensity, 0, None, None, fps
+        name, "train", "talk", name, 0, 300, 300, 0, 0, emotion, intensity, 0, None, None, fps
     )
 
 
@@ -48,13 +48,11 @@ def test_pieces_fade_without_a_jump() -> None:
 
 
 @pytest.fixture(scope="module")
-def corpus(tmp_path_factory: pytest.TempPathFactory) -> OpenCorpus:
-    return OpenCorpus(write_mini_corpus(tmp_path_factory.mktemp("mosaic") / "corpus"))
+def corpus(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return open_dataset(write_mini_corpus(tmp_path_factory.mktemp("mosaic") / "corpus"))
 
 
-def test_speech_crops_join_pieces_with_their_own_targets(
-    corpus: OpenCorpus, tmp_path: Path
-) -> None:
+def test_speech_crops_join_pieces_with_their_own_targets(corpus: Dataset, tmp_path: Path) -> None:
     overrides = ["task.pieces=3", "task.motion_sources=[synthetic]", "task.crop_s=2.0"]
     config = load_config("speech", CONFIGS / "speech_smoke.yaml", overrides)
     task = SpeechTask(config, corpus, tmp_path, torch.device("cpu"))

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from dataset_layouts import write_folder
+from dataset_layouts import packed, write_folder
 from mini_corpus import write_mini_corpus
 
 from freetalk.ats import Ats
-from freetalk.data import AtRate, MotionDataset, OpenCorpus, open_dataset
+from freetalk.data import Dataset, open_dataset
 from freetalk.data.resampling import frames_at, resample_frames
 from freetalk.train import load_config, run
 from freetalk.train.config import LoopOptions
@@ -50,7 +50,7 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Mon
     monkeypatch.setenv("FREETALK_CACHE", str(tmp_path_factory.getbasetemp() / "operators"))
 
 
-def task_of(kind: str, corpus: MotionDataset, out: Path, *more: str) -> Any:
+def task_of(kind: str, corpus: Dataset, out: Path, *more: str) -> Any:
     config = load_config(kind, CONFIGS / f"{kind}_paper.yaml", [*options(kind), *more])
     return config, make_task(config, corpus, out, torch.device("cpu"))
 
@@ -72,7 +72,7 @@ def first_updates(task: Any, batch: dict[str, Any], scale: float) -> dict[str, t
 def test_the_learning_rate_sets_the_steps_and_not_adams_epsilon(
     kind: str, corpus: Path, tmp_path: Path
 ) -> None:
-    _, task = task_of(kind, OpenCorpus(corpus), tmp_path)
+    _, task = task_of(kind, open_dataset(corpus), tmp_path)
     items = [task.item(np.random.default_rng(n), n) for n in range(2)]
     batch = task.collate(items)
     ours, rescaled = (first_updates(task, batch, scale) for scale in (1.0, 1000.0))
@@ -86,7 +86,7 @@ def test_the_learning_rate_sets_the_steps_and_not_adams_epsilon(
 
 def test_both_stages_count_square_millimetres(corpus: Path, tmp_path: Path) -> None:
     for kind in ("ats", "stm"):
-        _, task = task_of(kind, OpenCorpus(corpus), tmp_path / kind)
+        _, task = task_of(kind, open_dataset(corpus), tmp_path / kind)
         batch = task.collate([task.item(np.random.default_rng(0), 0)])
         with torch.no_grad():
             for parameter in task.model.parameters():
@@ -106,7 +106,7 @@ def test_both_stages_count_square_millimetres(corpus: Path, tmp_path: Path) -> N
 @pytest.mark.parametrize("kind", ["ats", "stm"])
 def test_an_epoch_shows_every_frame(kind: str, corpus: Path, tmp_path: Path) -> None:
     more = ["model.max_frames=32"] if kind == "ats" else []
-    _, task = task_of(kind, OpenCorpus(corpus), tmp_path, *more)
+    _, task = task_of(kind, open_dataset(corpus), tmp_path, *more)
     frames = 32 if kind == "ats" else 20
     sequences = task.sampler.sequences if kind == "ats" else task.windows.sampler.sequences
     orders = []
@@ -122,7 +122,7 @@ def test_an_epoch_shows_every_frame(kind: str, corpus: Path, tmp_path: Path) -> 
     # What a step is given is the window of its number.
     sequence, start = task.epochs.window(3)
     item = task.item(np.random.default_rng(0), 3)
-    whole = OpenCorpus(corpus).landmarks(sequence)[start : start + frames]
+    whole = open_dataset(corpus).landmarks(sequence)[start : start + frames]
     shown = item["motion"] if kind == "ats" else item["landmarks"].numpy()
     np.testing.assert_allclose(
         shown.reshape(len(shown), -1), whole.reshape(len(whole), -1), atol=1e-6
@@ -131,10 +131,10 @@ def test_an_epoch_shows_every_frame(kind: str, corpus: Path, tmp_path: Path) -> 
 
 def test_epochs_set_the_steps(corpus: Path, tmp_path: Path) -> None:
     config, task = task_of(
-        "stm", OpenCorpus(corpus), tmp_path, "loop.batch_size=4", "loop.epochs=3"
+        "stm", open_dataset(corpus), tmp_path, "loop.batch_size=4", "loop.epochs=3"
     )
     trainer = Trainer(task, config, tmp_path, "data")
-    windows = sum(-(-s.num_frames // 20) for s in OpenCorpus(corpus).sequences("train"))
+    windows = sum(-(-s.num_frames // 20) for s in open_dataset(corpus).sequences("train"))
     assert trainer.max_steps == -(-3 * windows // 4)
     with pytest.raises(ValueError, match=r"loop\.epochs shows everything once"):
         load_config("stm", CONFIGS / "stm_paper.yaml", ["task.source_weights={rom: 1}"])
@@ -161,7 +161,7 @@ def test_short_sequences_train_every_position(corpus: Path, tmp_path: Path) -> N
     for offsets, reached in ((True, 200), (False, 90)):
         _, task = task_of(
             "ats",
-            OpenCorpus(corpus),
+            open_dataset(corpus),
             tmp_path / str(offsets),
             "model.max_frames=200",
             f"task.position_offsets={str(offsets).lower()}",
@@ -182,7 +182,7 @@ def test_weights_know_the_longest_window_they_were_shown(corpus: Path, tmp_path:
     for out, length in ((tmp_path / "short", 40), (tmp_path / "long", 300)):
         run("ats", CONFIGS / "ats_paper.yaml", [*base, f"model.max_frames={length}"], corpus, out)
         trained = Ats.from_pretrained(out / "ats").options.trained_frames
-        longest = max(s.num_frames for s in OpenCorpus(corpus).sequences("train") if s.audio)
+        longest = max(s.num_frames for s in open_dataset(corpus).sequences("train") if s.has_sound)
         assert trained == min(length, longest)
 
 
@@ -208,8 +208,8 @@ def test_resampling_keeps_what_both_rates_can_show() -> None:
 
 
 def test_a_dataset_at_a_rate_is_the_motion_resampled(tmp_path: Path) -> None:
-    base = open_dataset(write_folder(tmp_path / "own", frames=50, fps=25))
-    at_30, at_25 = AtRate(base, 30.0), AtRate(base, 25.0)
+    base = open_dataset(packed(write_folder(tmp_path / "own", frames=50, fps=25)))
+    at_30, at_25 = base.at(30.0), base.at(25.0)
     for own, changed in zip(base.sequences(), at_30.sequences(), strict=True):
         assert (changed.fps, changed.num_frames) == (30.0, frames_at(own.num_frames, 25, 30))
         whole = resample_frames(base.landmarks(own), 25, 30)

@@ -9,7 +9,7 @@ import pytest
 import torch
 from mini_corpus import write_mini_corpus
 
-from freetalk.data import OpenCorpus
+from freetalk.data import open_dataset
 from freetalk.train import load_config, run
 from freetalk.train.previews import MeanFace, Sample, ShowsSamples, save_sample
 from freetalk.train.run import make_task
@@ -48,7 +48,7 @@ def test_a_sample_is_shown_beside_the_truth(tmp_path: Path) -> None:
 
 def test_a_landmark_network_shows_a_held_out_face(corpus: Path, tmp_path: Path) -> None:
     config = load_config("stm", CONFIGS / "stm_smoke.yaml", QUICK)
-    task = make_task(config, OpenCorpus(corpus), tmp_path, torch.device("cpu"))
+    task = make_task(config, open_dataset(corpus), tmp_path, torch.device("cpu"))
     assert isinstance(task, ShowsSamples)
     with torch.no_grad():
         sample = task.sample()

@@ -11,7 +11,7 @@ import soundfile
 import torch
 from mini_corpus import write_mini_corpus
 
-from freetalk.data import OpenCorpus
+from freetalk.data import open_dataset
 from freetalk.train import load_config
 from freetalk.train.run import make_task
 from freetalk.train.speech_recordings import RECORDED, Recordings
@@ -46,7 +46,7 @@ def test_a_batch_of_recordings_holds_their_phones_and_no_motion(
     options += ["task.source_weights={recorded: 1.0, synthetic: 1e-9}", "task.augment=0"]
     options += ["task.speed_range=0", "task.pieces=1"]
     config = load_config("speech", CONFIGS / "speech_smoke.yaml", options)
-    task = make_task(config, OpenCorpus(corpus), tmp_path, torch.device("cpu"))
+    task = make_task(config, open_dataset(corpus), tmp_path, torch.device("cpu"))
     generator = torch.Generator().manual_seed(3)
     rng = np.random.default_rng(3)
     batch = task.collate([task.item(rng, number) for number in range(config.loop.batch_size)])
@@ -58,8 +58,8 @@ def test_a_batch_of_recordings_holds_their_phones_and_no_motion(
 
 
 def test_the_dictionarys_schwa_is_ah_only_beside_recordings(corpus: Path, aligned: Path) -> None:
-    reader = OpenCorpus(corpus)
-    train = [s for s in reader.sequences("train") if s.audio is not None]
+    reader = open_dataset(corpus)
+    train = [s for s in reader.sequences("train") if s.has_sound]
     alone = SpeechTargets(reader, train)
     assert {"AX", "AA"} <= set(alone.phones)
     recordings = Recordings([str(aligned)], reader.fps)
@@ -89,7 +89,7 @@ def test_recordings_are_where_their_file_says(aligned: Path, tmp_path: Path) -> 
 
 
 def test_recordings_alone_are_refused(corpus: Path, aligned: Path) -> None:
-    reader = OpenCorpus(corpus)
+    reader = open_dataset(corpus)
     recordings = Recordings([str(aligned)], reader.fps)
     with pytest.raises(ValueError, match="recordings alone teach no motion"):
         SpeechTargets(reader, recordings.sequences, recordings)

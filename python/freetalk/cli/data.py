@@ -3,15 +3,34 @@
 from __future__ import annotations
 
 import argparse
-import json
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from freetalk._files import write_json
 from freetalk.cli.outputs import check_writable
 
 _SHOWN = 20
+
+
+def import_release(arguments: argparse.Namespace) -> None:
+    """Packs a release and tells what it is and what was left out."""
+    from tqdm import tqdm
+
+    from freetalk.data import check_dataset, import_dataset
+
+    out = import_dataset(
+        arguments.name,
+        arguments.source,
+        arguments.out,
+        name=arguments.called,
+        fps=arguments.fps,
+        unit=arguments.unit,
+        progress=partial(tqdm, desc="packing", unit="take", leave=False),
+    )
+    _print_report(check_dataset(out, quick=True))
+    print(f"packed in {out}")
 
 
 def check(arguments: argparse.Namespace) -> None:
@@ -36,17 +55,23 @@ def check(arguments: argparse.Namespace) -> None:
         quick=arguments.quick,
         progress=partial(tqdm, desc="reading", unit="take", leave=False),
     )
-    for line in _lines(report.facts):
-        print(line)
-    _print_list("warning", report.warnings)
-    _print_list("error", report.errors)
+    _print_report(report)
     if arguments.json is not None:
-        content = {"facts": report.facts, "warnings": report.warnings, "errors": report.errors}
-        Path(arguments.json).write_text(json.dumps(content, indent=2) + "\n")
+        write_json(Path(arguments.json), vars(report))
     if not report.ok:
         count = len(report.errors)
         raise ValueError(f"{path} has {count} error{'s' if count > 1 else ''}, listed above")
-    print("ready to train" + (" (motion and sound were not read)" if arguments.quick else ""))
+    packed = (Path(path) / "manifest.json").is_file()
+    note = " (motion and sound were not read)" if arguments.quick else ""
+    print(("ready to train" if packed else "ready for 'freetalk data import'") + note)
+
+
+def _print_report(report: Any) -> None:
+    for line in _lines(report.facts):
+        print(line)
+    _print_list("left out", [f"{name}: {reason}" for name, reason in report.excluded.items()])
+    _print_list("warning", report.warnings)
+    _print_list("error", report.errors)
 
 
 def from_video(arguments: argparse.Namespace) -> None:
@@ -77,7 +102,7 @@ def _print_list(kind: str, messages: list[str]) -> None:
     for message in messages[:_SHOWN]:
         print(f"{kind}: {message}")
     if len(messages) > _SHOWN:
-        print(f"... and {len(messages) - _SHOWN} more {kind}s (--json FILE has all)")
+        print(f"... and {len(messages) - _SHOWN} more ({kind}; data check --json FILE has all)")
 
 
 def _lines(facts: dict[str, Any]) -> list[str]:
@@ -88,8 +113,6 @@ def _lines(facts: dict[str, Any]) -> list[str]:
             source = f" from {value['source']}" if "source" in value else ""
             known = f", {value['known_as']}" if value.get("known_as") else ""
             value = f"{value['count']} ({value['sha256']}){source}{known}"
-        elif isinstance(value, dict) and any(isinstance(v, dict) for v in value.values()):
-            value = f"{len(value)}: {', '.join(map(str, value))}"
         elif isinstance(value, dict):
             value = ", ".join(f"{k} {v}" for k, v in value.items())
         elif isinstance(value, list):

@@ -220,7 +220,7 @@ def _add_train(commands: Any) -> None:
             required=True,
             action="append",
             metavar="[NAME[:SPLIT]=]DIR",
-            help="a corpus or dataset (see 'freetalk data check'); repeat it to train on several",
+            help="a corpus or packed dataset ('freetalk data import'); repeat it to train on several",
         )
         parser.add_argument("--out", required=True, metavar="DIR", help="weights and checkpoints")
         parser.add_argument(
@@ -236,9 +236,9 @@ def _add_corpus(commands: Any) -> None:
         "corpus:build",
         "build the open corpus",
         description=(
-            "Builds the open corpus: manifest.json (splits; per sequence audio, emotion, intensity, "
-            "identity), landmarks.npy (T, 68, 3) in metres, weights.npy, identities.npy, phones.json, "
-            "topologies/*.npz and 16 kHz audio. Data of your own in this form trains the same way."
+            "Builds the open corpus in the packed layout that 'freetalk data import' makes of other data: "
+            "manifest.json, landmarks.npy (N, 68, 3) in metres, motion.npy (N, E) weights of expressions, "
+            "audio.npy at 16 kHz, identities.npy, phones.json and topologies/*.npz."
         ),
     )
     parser.add_argument("--out", required=True, metavar="DIR", help="folder to make")
@@ -250,18 +250,40 @@ def _add_data(commands: Any) -> None:
     _, nested = _group(commands, "data", "datasets of speech and facial motion")
     parser = _command(
         nested,
+        "import",
+        "data:import_release",
+        "pack a public release, or recordings of your own, for training and evaluation",
+        description=(
+            "Reads a release as it really lies on disk and packs it once: sound at 16 kHz, landmarks, vertices "
+            "or their factors, labels, splits by name. A take that is wrong is left out and listed; a call that "
+            "was stopped goes on when it is made again."
+        ),
+    )
+    parser.add_argument(
+        "name",
+        metavar="NAME",
+        help="vocaset, biwi, multiface, emovoca, mead, folder (your own), or auto",
+    )
+    parser.add_argument("source", metavar="SOURCE", help="the release's folder")
+    parser.add_argument("--out", required=True, metavar="DIR", help="the folder to make")
+    parser.add_argument("--called", default="", metavar="NAME", help="what results call the data")
+    parser.add_argument(
+        "--fps", type=float, default=0.0, help="bring motion to this rate; by default the release's"
+    )
+    parser.add_argument("--unit", choices=UNITS, default="auto", help="length unit of its files")
+    parser = _command(
+        nested,
         "check",
         "data:check",
         "tell what is missing or wrong with a dataset",
         description=(
-            "Reads all of a dataset and tells what it is and what is missing or wrong: VOCAset (as "
-            "released, or FaceFormer's copy), BIWI_6 and Multiface (ScanTalk's layout), EmoVOCA, "
-            "MEAD-EMOTE, the open corpus, or a plain folder of wav, motion and templates."
+            "Reads all of a packed dataset against what was written, or all of a release and tells what it is "
+            "and which takes an import would leave out, and why."
         ),
     )
     parser.add_argument("data", metavar="[NAME[:SPLIT]=]DIR", help="the dataset's folder")
     parser.add_argument(
-        "--kind", default="", metavar="KIND", help="its layout, where it is not recognised"
+        "--kind", default="auto", metavar="KIND", help="a release's kind, as 'data import' names it"
     )
     parser.add_argument("--unit", choices=UNITS, default="auto", help="length unit of its files")
     parser.add_argument("--quick", action="store_true", help="do not read sound and motion")

@@ -41,8 +41,6 @@ def align(arguments: argparse.Namespace) -> None:
 
 def probe(arguments: argparse.Namespace) -> None:
     """Scores a linear probe of viseme classes on an encoder's features, and draws its confusions."""
-    if not (Path(arguments.data) / "manifest.json").is_file():
-        raise OSError(f"'{arguments.data}' is no corpus: make one with 'freetalk corpus build'")
     fit = [check_readable(file, "aligned recordings") for file in arguments.fit]
     held_out = _named(arguments.held_out)
     out = Path(arguments.out)
@@ -50,7 +48,7 @@ def probe(arguments: argparse.Namespace) -> None:
     folder = Path(arguments.encoder) if arguments.encoder else None
     if folder is None:
         folder = find_weights(arguments.pretrained) / "speech"
-    from freetalk.data import OpenCorpus
+    from freetalk.data import open_dataset
     from freetalk.evaluate import viseme_probe
     from freetalk.speech import SpeechEncoder
 
@@ -59,7 +57,7 @@ def probe(arguments: argparse.Namespace) -> None:
         if not -1 <= layer <= encoder.options.num_hidden_layers:
             last = encoder.options.num_hidden_layers
             raise ValueError(f"--layers {layer}: the encoder's hidden states are -1 to {last}")
-    corpus = OpenCorpus(arguments.data)
+    corpus = open_dataset(arguments.data)
     synthetic = viseme_probe.corpus_recordings(corpus, "train", max(0, arguments.sequences))
     recorded = {
         f"{file}:{name}": recording

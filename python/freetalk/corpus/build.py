@@ -1,14 +1,10 @@
-"""Builds the open corpus on disk."""
+"""Builds the open corpus on disk, in the packed layout of :mod:`freetalk.data.pack`."""
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 import os
-import shutil
-import uuid
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +13,17 @@ from tqdm import tqdm
 
 from freetalk.corpus import topologies
 from freetalk.corpus.assets import FaceModel, load_face_model
-from freetalk.corpus.emotion import EMOTIONS
 from freetalk.corpus.plan import DISJOINT, SIZES, SPLITS, Size, all_jobs
-from freetalk.corpus.sequences import FPS, SAMPLE_RATE_HZ, Job, Made, Maker, voice_id
+from freetalk.corpus.sequences import FPS, Job, Made, Maker, voice_id
+from freetalk.data.pack import PackWriter
+from freetalk.data.pose import METRES
 
-FORMAT = "freetalk-open-corpus"
-VERSION = 1
-CONTENTS = 3  # rises when the same size and seed give other sequences
+CONTENTS = 4  # rises when the same size and seed give other sequences
 CHUNK = 12
 CHUNK_TIMEOUT_S = 900
 PROCESSES = 2
+#: Full scale of the samples that are written.
+_FULL_SCALE = 32767
 
 
 def build_corpus(
@@ -34,11 +31,11 @@ def build_corpus(
 ) -> Path:
     """Builds the open corpus: real and synthetic speech with face motion, identities and meshings.
 
-    The corpus is written next to `out` and renamed when complete, so `out` is never half-written. A corpus of the same
+    `out` appears when it is complete; a call that was stopped goes on when it is made again. A corpus of the same
     size and seed that is already there is kept.
 
     Args:
-        out: folder to create; an existing corpus of another size or seed is replaced.
+        out: folder to create; an existing dataset is replaced.
         size: "tiny" (tests), "small" (what the shipped weights were trained on) or "full".
         seed: of everything random; the same seed gives the same corpus.
         progress: show progress bars.
@@ -47,159 +44,121 @@ def build_corpus(
         The folder.
 
     Raises:
-        ValueError: unknown size, or `out` exists and is not a corpus.
+        ValueError: unknown size, or `out` exists and is no dataset.
         RuntimeError: espeak-ng or flite is missing.
     """
     if size not in SIZES:
         raise ValueError(f"size is {size!r}: use one of {', '.join(SIZES)}")
     out = Path(out)
-    if _is_complete(out, size, seed):
-        return out
-    if out.exists() and any(out.iterdir()) and not (out / "manifest.json").is_file():
-        raise ValueError(f"{out} exists and is not a corpus: choose another folder")
-    work = out.parent / f".{out.name}.{uuid.uuid4().hex[:8]}.partial"
-    (work / "audio").mkdir(parents=True)
-    (work / "topologies").mkdir()
-    try:
-        _write(work, size, seed, progress)
-        if out.exists():
-            shutil.rmtree(out)
-        work.rename(out)
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
+    key = {"corpus": CONTENTS, "size": size, "seed": seed}
+    with PackWriter(out, key, replace=True) as writer:
+        if not writer.complete:
+            _write(writer, size, seed, progress)
     return out
 
 
-def _is_complete(out: Path, size: str, seed: int) -> bool:
-    try:
-        manifest = json.loads((out / "manifest.json").read_text())
-    except (OSError, ValueError):
-        return False
-    wanted = {
-        "format": FORMAT,
-        "version": VERSION,
-        "contents": CONTENTS,
-        "size": size,
-        "seed": seed,
-    }
-    return all(manifest.get(key) == value for key, value in wanted.items())
-
-
-def _make_chunk(out: Path, jobs: list[Job]) -> list[Made]:
-    maker = Maker(out)
+def _make_chunk(jobs: list[Job]) -> list[Made]:
+    maker = Maker()
     return [maker.make(job) for job in jobs]
 
 
-def _made_in_order(work: Path, jobs: list[Job]) -> Iterator[Made]:
+def _made_in_order(jobs: list[Job], writer: PackWriter) -> Iterator[Made]:
     """Makes the jobs in chunks, each in a fresh process: speech engines keep state, which must not leak."""
     chunks = [jobs[i : i + CHUNK] for i in range(0, len(jobs), CHUNK)]
+    chunks = [chunk for chunk in chunks if not all(writer.knows(job.id) for job in chunk)]
     context = multiprocessing.get_context("fork")
     with context.Pool(PROCESSES, maxtasksperchild=1) as pool:
-        results = pool.imap(partial(_make_chunk, work), chunks)
+        results = pool.imap(_make_chunk, chunks)
         for chunk in chunks:
             try:
-                yield from results.next(timeout=CHUNK_TIMEOUT_S)
+                made = results.next(timeout=CHUNK_TIMEOUT_S)
             except multiprocessing.TimeoutError as error:
                 names = f"{chunk[0].id} to {chunk[-1].id}"
                 raise RuntimeError(f"a worker stopped while making {names}: build again") from error
+            yield from (one for one in made if not writer.knows(one.job.id))
 
 
-def _write(work: Path, size: str, seed: int, progress: bool) -> None:
-    model = load_face_model()
-    plan = SIZES[size]
+def _write(writer: PackWriter, size: str, seed: int, progress: bool) -> None:
+    model, plan = load_face_model(), SIZES[size]
     jobs = all_jobs(plan, seed)
-    made = list(
-        tqdm(_made_in_order(work, jobs), "sequences", total=len(jobs), disable=not progress)
-    )
-    weights = np.concatenate([m.weights for m in made])
+    splits = np.repeat(SPLITS, plan.identities)
+    faces = _faces_of(jobs, splits, seed)
     basis = model.landmark_basis.reshape(len(model.expression_names), -1)
-    np.save(work / "weights.npy", weights)
-    np.save(work / "landmarks.npy", (weights @ basis).reshape(-1, 68, 3).astype(np.float32))
-    phones = {
-        m.job.audio: [[round(p.start_s, 4), round(p.end_s, 4), p.label] for p in m.phones]
-        for m in made
-        if m.phones
-    }
-    (work / "phones.json").write_text(json.dumps(phones))
-    identities = _identities(work, model, plan, seed)
-    meshes = _topologies(work, model, size, seed, progress)
+    left = len(jobs) - len(writer.sequences)
+    for made in tqdm(_made_in_order(jobs, writer), "sequences", total=left, disable=not progress):
+        job = made.job
+        writer.add(
+            {
+                "id": job.id,
+                "split": [job.split],
+                "source": job.source,
+                "take": job.take or "+".join(job.clips) or None,
+                "emotion": job.emotion,
+                "intensity": job.intensity,
+                "identity": faces[job.id],
+                "voice": voice_id(job),
+                "text": job.text,
+            },
+            (made.weights @ basis).reshape(-1, 68, 3),
+            made.weights,
+            np.rint(made.audio * _FULL_SCALE).clip(-_FULL_SCALE - 1, _FULL_SCALE).astype(np.int16),
+            sound=job.audio or "",
+            phones=[[round(p.start_s, 4), round(p.end_s, 4), p.label] for p in made.phones],
+        )
+    meshings = _topologies(model, size, seed, progress)
     manifest = {
-        "format": FORMAT,
-        "version": VERSION,
-        "contents": CONTENTS,
-        "size": size,
-        "seed": seed,
+        "name": "open",
         "fps": FPS,
-        "sample_rate_hz": SAMPLE_RATE_HZ,
-        "emotions": list(EMOTIONS),
         "expressions": list(model.expression_names),
-        "sequences": _sequence_entries(made, identities, seed),
-        "identities": identities,
-        "topologies": meshes,
+        "moves": "all",
+        "splits": {
+            "corpus": "unseen voices, sentences, takes, faces and meshings, as far as test_disjoint_by says"
+        },
+        "facts": {"kind": "open", "size": size, "seed": seed, **METRES.describe()},
+        "identities": [
+            {"name": str(index), "split": str(split), "origin": [0.0, 0.0, 0.0]}
+            for index, split in enumerate(splits)
+        ],
+        "topologies": [entry for entry, _ in meshings],
         "test_disjoint_by": {source: list(fields) for source, fields in DISJOINT.items()},
     }
-    (work / "manifest.json").write_text(json.dumps(manifest, indent=1))
+    arrays = {entry["name"]: own for entry, own in meshings}
+    identities = _identities(model, plan, seed)
+    writer.finish(manifest, identities, arrays, landmark_basis=model.landmark_basis)
 
 
-def _identities(work: Path, model: FaceModel, plan: Size, seed: int) -> list[dict[str, object]]:
+def _identities(model: FaceModel, plan: Size, seed: int) -> np.ndarray:
     rng = np.random.default_rng([seed, 8])
-    count = sum(plan.identities)
-    coefficients = np.clip(rng.normal(0, 0.85, (count, len(model.identity_basis))), -2.2, 2.2)
-    np.save(work / "identities.npy", coefficients.astype(np.float32))
-    splits = np.repeat(SPLITS, plan.identities)
-    return [{"index": i, "split": str(split)} for i, split in enumerate(splits)]
+    drawn = rng.normal(0, 0.85, (sum(plan.identities), len(model.identity_basis)))
+    return np.clip(drawn, -2.2, 2.2).astype(np.float32)
 
 
 def _topologies(
-    work: Path, model: FaceModel, size: str, seed: int, progress: bool
-) -> list[dict[str, object]]:
+    model: FaceModel, size: str, seed: int, progress: bool
+) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """Entries of the manifest with the arrays of the meshings."""
     chosen = [
         spec
         for spec in topologies.TOPOLOGIES
         if size != "tiny" or spec.name in topologies.TINY_TOPOLOGIES
     ]
-    entries: list[dict[str, object]] = []
+    made = []
     for spec in tqdm(chosen, "topologies", disable=not progress):
-        arrays: dict[str, Any] = dict(topologies.topology_arrays(model, spec, seed))
-        file = f"topologies/{spec.name}.npz"
-        np.savez(work / file, **arrays)
-        entries.append(
-            {
-                "name": spec.name,
-                "split": spec.split,
-                "file": file,
-                "num_vertices": len(arrays["neutral"]),
-                "num_faces": len(arrays["faces"]),
-                "description": spec.description,
-            }
-        )
-    return entries
+        arrays = topologies.topology_arrays(model, spec, seed)
+        entry = {
+            "name": spec.name,
+            "split": spec.split,
+            "file": f"topologies/{spec.name}.npz",
+            "num_vertices": len(arrays["neutral"]),
+            "num_faces": len(arrays["faces"]),
+            "description": spec.description,
+        }
+        made.append((entry, arrays))
+    return made
 
 
-def _sequence_entries(
-    made: list[Made], identities: list[dict[str, object]], seed: int
-) -> list[dict[str, object]]:
+def _faces_of(jobs: list[Job], splits: np.ndarray, seed: int) -> dict[str, int]:
+    """The face that each sequence is shown on."""
     rng = np.random.default_rng([seed, 9])
-    by_split = {s: [k for k, i in enumerate(identities) if i["split"] == s] for s in SPLITS}
-    entries: list[dict[str, object]] = []
-    start = 0
-    for item in made:
-        job = item.job
-        entries.append(
-            {
-                "id": job.id,
-                "split": job.split,
-                "source": job.source,
-                "take": job.take or "+".join(job.clips) or None,
-                "audio": job.audio,
-                "start_frame": start,
-                "num_frames": len(item.weights),
-                "emotion": job.emotion,
-                "intensity": job.intensity,
-                "identity": int(rng.choice(by_split[job.split])),
-                "voice": voice_id(job),
-                "text": job.text,
-            }
-        )
-        start += len(item.weights)
-    return entries
+    by_split = {split: np.flatnonzero(splits == split) for split in SPLITS}
+    return {job.id: int(rng.choice(by_split[job.split])) for job in jobs}

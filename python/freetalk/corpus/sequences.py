@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
-import soundfile as sf
 
 from freetalk.corpus import curves, emotion, rest, running, speech, visemes
 from freetalk.corpus.assets import (
@@ -24,6 +22,7 @@ from freetalk.corpus.phones import Phone, emodb_label, merge
 FPS = 30
 SAMPLE_RATE_HZ = 16000
 SAMPLES_PER_FRAME = SAMPLE_RATE_HZ / FPS
+_SILENCE = np.zeros(0, np.float32)
 
 
 @dataclass(frozen=True)
@@ -50,10 +49,14 @@ class Job:
 
 @dataclass(frozen=True)
 class Made:
-    """A made sequence: weights (T, E), phones of synthetic speech."""
+    """A made sequence: weights (T, E), phones of synthetic speech, and its sound, (S,) in [-1, 1].
+
+    The sound is empty where there is none, and where another job of the same sound makes it.
+    """
 
     job: Job
     weights: Array
+    audio: Array
     phones: list[Phone] = field(default_factory=list)
 
 
@@ -99,14 +102,13 @@ def fit_audio(audio: Array, num_frames: int) -> Array:
 class Maker:
     """Makes sequences; holds the face model and the takes already converted."""
 
-    def __init__(self, out: Path) -> None:
-        self.out = out
+    def __init__(self) -> None:
         self.model: FaceModel = load_face_model()
         self.lips = Lips(self.model)
         self._takes: dict[str, tuple[Take, Array]] = {}
 
     def make(self, job: Job) -> Made:
-        """Weights and phones of a job; writes its audio file."""
+        """Weights, sound and phones of a job."""
         rng = np.random.default_rng(job.seed)
         makers = {
             "synthetic": self._synthetic,
@@ -118,10 +120,6 @@ class Maker:
         }
         made = makers[job.source](job, rng)
         return replace(made, weights=np.clip(made.weights, 0, 1).astype(np.float32))
-
-    def _write(self, job: Job, audio: Array) -> None:
-        if job.audio is not None and job.writes_audio:
-            sf.write(self.out / job.audio, audio, SAMPLE_RATE_HZ, subtype="PCM_16")
 
     def _finish(self, job: Job, weights: Array, rng: np.random.Generator) -> Array:
         """Idle movement, emotion and blinks; the lips' opening stays that of the input."""
@@ -179,9 +177,8 @@ class Maker:
         weights = visemes.speech_weights(
             self.model, self.lips, shifted, num_frames, loudness, style
         )
-        if job.writes_audio:
-            self._write(job, recorded(audio, rng))
-        return Made(job, self._finish(job, weights, rng), shifted)
+        sound = recorded(audio, rng) if job.writes_audio else _SILENCE
+        return Made(job, self._finish(job, weights, rng), sound, shifted)
 
     def _take(self, name: str) -> tuple[Take, Array]:
         if name not in self._takes:
@@ -193,8 +190,8 @@ class Maker:
         take, all_weights = self._take(job.take)
         stop = job.start_frame + job.num_frames
         first, last = (int(round(f * SAMPLES_PER_FRAME)) for f in (job.start_frame, stop))
-        self._write(job, fit_audio(take.audio[first:last], job.num_frames))
-        return Made(job, self._finish(job, all_weights[job.start_frame : stop], rng))
+        sound = fit_audio(take.audio[first:last], job.num_frames) if job.writes_audio else _SILENCE
+        return Made(job, self._finish(job, all_weights[job.start_frame : stop], rng), sound)
 
     def _running(self, job: Job, rng: np.random.Generator) -> Made:
         """Voiced parts of captured takes, joined."""
@@ -204,8 +201,8 @@ class Maker:
             first, last = (round(f * SAMPLES_PER_FRAME) for f in (part.start, part.stop))
             parts.append((part, take.audio[first:last], weights[part.start : part.stop]))
         audio, weights = running.joined(parts, rng, SAMPLES_PER_FRAME, SAMPLE_RATE_HZ)
-        self._write(job, recorded(fit_audio(audio, job.num_frames), rng))
-        return Made(job, self._finish(job, weights[: job.num_frames], rng))
+        sound = recorded(fit_audio(audio, job.num_frames), rng)
+        return Made(job, self._finish(job, weights[: job.num_frames], rng), sound)
 
     def _rom(self, job: Job, rng: np.random.Generator) -> Made:
         if job.take:
@@ -217,7 +214,7 @@ class Maker:
         else:
             weights = curves.combined_shapes(self.model, job.num_frames, rng, FPS)
         weights = self.lips.without_interpenetration(np.clip(weights, 0, 1))
-        return Made(job, weights)
+        return Made(job, weights, _SILENCE)
 
     def _rest(self, job: Job, rng: np.random.Generator) -> Made:
         weights = rest.rest_weights(self.model, self.lips, job.num_frames, rng, FPS)
@@ -227,9 +224,8 @@ class Maker:
             noise = np.convolve(noise, np.full(8, 0.35), mode="same")
         silent = rng.random() < 0.25
         audio = np.zeros(count) if silent else noise * 10 ** (rng.uniform(-75, -45) / 20)
-        self._write(job, audio.astype(np.float32))
         if job.emotion != "neutral":
             weights = emotion.add_emotion(
                 self.model, self.lips, weights, job.emotion, job.intensity, rng, FPS
             )
-        return Made(job, rest.add_blinks(self.model, weights, rng, FPS))
+        return Made(job, rest.add_blinks(self.model, weights, rng, FPS), audio.astype(np.float32))

@@ -1,27 +1,28 @@
-"""Looks through a whole dataset and tells what is missing or wrong, before a night is lost."""
+"""Looks through a whole dataset, packed or not, and tells what is missing or wrong, before a night is lost."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from freetalk.data.dataset import Dataset, open_dataset
+from freetalk.data.errors import DatasetError
+from freetalk.data.importing import Source
+from freetalk.data.releases import open_release
 
-from freetalk.data.catalogue import open_dataset
-from freetalk.data.dataset import MotionDataset, MotionSequence
-from freetalk.data.errors import DatasetError, Findings
-from freetalk.data.open_corpus import OpenCorpus
-from freetalk.data.registered import RegisteredDataset
-
-#: A vertex of a face that speaks moves less than this (m); more means another template, unit or pose.
-_LARGEST_MOTION_M = 0.08
-_BLOCK = 64
+#: A landmark of a face that speaks moves less than this (mm); more means another template, unit or pose.
+_LARGEST_MOTION_MM = 80.0
 #: Masks, and what is lost without them.
 _MASKS = (
     ("lip_mask", "lips weigh as the rest, and lip metrics cannot be computed"),
     ("upper_face_mask", "metrics of the upper face cannot be computed"),
+)
+_SPLITS = (
+    ("train", "nothing to train on"),
+    ("val", "trainings validate on it"),
+    ("test", "tables are made of it"),
 )
 
 
@@ -30,18 +31,20 @@ class DatasetReport:
     """What a check found.
 
     Attributes:
-        errors: what stops a training.
+        errors: what stops a training or an import, or makes a result wrong.
         warnings: what a training survives and a result may not.
-        facts: what the dataset is, as :meth:`MotionDataset.describe` says it, and its sizes.
+        excluded: takes that are left out, and why.
+        facts: what the dataset is, as :meth:`Dataset.describe` says it, and its sizes.
     """
 
     errors: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    excluded: dict[str, str] = field(default_factory=dict)
     facts: dict[str, Any] = field(default_factory=dict)
 
     @property
     def ok(self) -> bool:
-        """Whether a training can start."""
+        """Whether a training, or an import, can start."""
         return not self.errors
 
 
@@ -51,122 +54,98 @@ def check_dataset(
     name: str = "",
     split: str = "",
     unit: str = "auto",
-    kind: str = "",
+    kind: str = "auto",
     quick: bool = False,
     progress: Any = iter,
 ) -> DatasetReport:
-    """Opens a dataset and reads all of it; nothing that is wrong with one file hides the next.
+    """Reads all of a packed dataset against its manifest, or tells what an import of a release would do.
 
     Args:
         path: its folder.
         name: what to call it.
         split: name of the split scheme.
-        unit: length unit of the files, or ``auto``.
-        kind: its layout; empty finds out.
-        quick: leave out reading the motion.
-        progress: wraps the sequences while they are read, such as ``tqdm``.
+        unit: length unit of a release's files, or ``auto``.
+        kind: a release's kind, or ``auto``.
+        quick: leave out reading sound and motion.
+        progress: wraps the takes while they are read, such as ``tqdm``.
 
     Returns:
         The report; only memory and the disk itself raise.
     """
-    report, findings = DatasetReport(), Findings(strict=False)
+    report = DatasetReport()
     try:
-        dataset = open_dataset(
-            path, name=name, split=split, unit=unit, kind=kind, findings=findings
-        )
-    except (DatasetError, FileNotFoundError, ValueError) as error:
-        report.errors = [str(e) for e in (*findings.errors, error)]
-        return report
-    report.errors = [str(error) for error in findings.errors]
-    report.facts = {**dataset.describe(), **_sizes(dataset)}
-    try:
-        dataset.check()
-    except (DatasetError, FileNotFoundError, ValueError) as error:
+        if (Path(path) / "manifest.json").is_file():
+            _check_packed(open_dataset(path, name=name, split=split), report, quick, progress)
+        else:
+            _check_release(Source(open_release(kind, path), unit=unit), report, quick, progress)
+    except (DatasetError, ValueError) as error:
         report.errors.append(str(error))
-    _check_splits(dataset, report)
-    if isinstance(dataset, RegisteredDataset):
-        _check_template(dataset, report)
-    if not quick:
-        _read_all(dataset, report, progress)
+    for key, loss in _MASKS:
+        if report.facts.get("faces", {}).get("count") and report.facts.get(key) is None:
+            report.warnings.append(f"no file says which vertices are the {key}: {loss}")
+    if report.facts.get("unit") == "normalised":
+        report.warnings.append(
+            f"the unit is unknown, or the landmarks belong to another mesh: {report.facts['reason']}"
+        )
+    if report.facts.get("template") == "FLAME" and not report.facts["faces"]["recognised"]:
+        report.warnings.append("the triangles are not those of the published FLAME template")
     return report
 
 
-def _sizes(dataset: MotionDataset) -> dict[str, Any]:
-    sequences = dataset.sequences()
-    counts: dict[str, int] = {}
-    for sequence in sequences:
-        label = dataset.emotions[sequence.emotion]
-        counts[label] = counts.get(label, 0) + 1
-    hours = sum(s.num_frames / s.fps for s in sequences) / 3600
-    return {
-        "hours": round(hours, 4),
-        "emotions": counts,
-        "speakers": {s: len(dataset.identities(s)) for s in ("train", "val", "test")},
+def _check_packed(dataset: Dataset, report: DatasetReport, quick: bool, progress: Any) -> None:
+    ((_, pack),) = dataset.packs.items()
+    sequences, entries = dataset.sequences(), pack.manifest["sequences"]
+    counts = Counter(s.emotion for s in sequences)
+    report.excluded = {one["id"]: one["reason"] for one in pack.manifest["excluded"]}
+    report.facts = {
+        **dataset.describe(),
+        "hours": round(sum(s.num_frames / s.fps for s in sequences) / 3600, 4),
+        "emotions": {dataset.emotions[e]: n for e, n in sorted(counts.items())},
+        "speakers": {s: len(dataset.identities(s)) for s, _ in _SPLITS},
     }
-
-
-def _check_splits(dataset: MotionDataset, report: DatasetReport) -> None:
-    for split, loss in (
-        ("train", "nothing to train on"),
-        ("val", "trainings validate on it"),
-        ("test", "tables are made of it"),
-    ):
+    for split, loss in _SPLITS:
         if not dataset.sequences(split):
             text = f"the split {split} is empty: {loss}"
             (report.errors if split == "train" else report.warnings).append(text)
+    for topology in dataset.topologies():
+        pack.meshing(topology)
+    _warn_of_size({e["id"]: e.get("largest_mm", 0.0) for e in entries}, report)
+    if not quick:
+        report.errors += [
+            f"{entry['id']} is not what was written: import the dataset anew"
+            for entry in progress(entries)
+            if pack.digest(entry) != entry["sha256"]
+        ]
 
 
-def _check_template(dataset: RegisteredDataset, report: DatasetReport) -> None:
-    described = dataset.template.describe()
-    masks = () if len(dataset.template.faces) == 0 else _MASKS
-    for key, loss in masks:
-        if described[key] is None:
-            report.warnings.append(f"no file says which vertices are the {key}: {loss}")
-    if dataset.pose.unit == "normalised":
-        report.warnings.append(
-            f"the unit is unknown, or the landmarks belong to another mesh: {dataset.pose.reason}"
-        )
-    if dataset.template.name == "FLAME" and not described["faces"]["recognised"]:
-        report.warnings.append("the triangles are not those of the published FLAME template")
-    if dataset.left_out:
-        report.warnings.append(
-            f"{dataset.left_out} sequences belong to no split of {dataset.scheme.name}"
-        )
-
-
-def _read_all(dataset: MotionDataset, report: DatasetReport, progress: Any) -> None:
-    sequences: Iterable[MotionSequence] = progress(dataset.sequences())
-    topologies = set() if isinstance(dataset, OpenCorpus) else set(dataset.topologies())
-    largest, where = 0.0, ""
-    for sequence in sequences:
+def _check_release(source: Source, report: DatasetReport, quick: bool, progress: Any) -> None:
+    takes = source.release.takes
+    report.excluded = dict(source.release.excluded)
+    report.facts = {
+        **source.manifest()["facts"],
+        "fps": source.fps,
+        "takes": len(takes),
+        "speakers": len(source.speakers),
+        "splits": [scheme.name for scheme in source.schemes],
+    }
+    sizes = {}
+    for take in [] if quick else progress(takes):
         try:
-            if sequence.audio is not None:
-                wave = dataset.audio(sequence)
-                if float(np.abs(wave).max(initial=0.0)) < 1e-4:
-                    report.warnings.append(f"{sequence.audio} is silent")
-            for size in _motion(dataset, sequence, sequence.topology in topologies):
-                if size > largest:
-                    largest, where = size, sequence.id
-        except (DatasetError, OSError, RuntimeError, ValueError) as error:
-            report.errors.append(str(error))
-    report.facts["largest_motion_mm"] = round(1000 * largest, 2)
-    if largest > _LARGEST_MOTION_M:
+            sizes[take.id] = source.read(take).largest_mm
+        except DatasetError as error:
+            report.excluded[take.id] = str(error)
+    _warn_of_size(sizes, report)
+    if takes and len(report.excluded) >= len(takes):
+        report.errors.append("no take is usable")
+
+
+def _warn_of_size(sizes: dict[str, float], report: DatasetReport) -> None:
+    if not sizes:
+        return
+    where = max(sizes, key=lambda name: sizes[name])
+    report.facts["largest_motion_mm"] = sizes[where]
+    if sizes[where] > _LARGEST_MOTION_MM:
         report.warnings.append(
-            f"{where} moves a point by {1000 * largest:.0f} mm: is its template the speaker's, and the "
+            f"{where} moves a landmark by {sizes[where]:.0f} mm: is its template the speaker's, and the "
             "head's pose removed?"
         )
-
-
-def _motion(
-    dataset: MotionDataset, sequence: MotionSequence, has_vertices: bool
-) -> Iterable[float]:
-    """Largest displacement of each block of frames, read as training would."""
-    for first in range(0, sequence.num_frames, _BLOCK):
-        stop = first + _BLOCK
-        if has_vertices:
-            moved = dataset.vertex_displacements(str(sequence.topology), sequence, first, stop)
-        else:
-            moved = dataset.landmarks(sequence, first, stop)
-        if not np.isfinite(moved).all():
-            raise DatasetError(f"{sequence.id}: a frame from {first} on holds NaN or infinity")
-        yield float(np.sqrt(np.square(moved).sum(axis=-1).max(initial=0.0)))

@@ -1,65 +1,84 @@
-"""What training and evaluation need to know of a motion dataset, whatever its layout on disk."""
+"""Sequences of speech and facial motion: one packed folder, several as one, or a part of them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import copy
+import dataclasses
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from freetalk import _native
 from freetalk.data.emotions import EMOTIONS
+from freetalk.data.errors import DatasetError, LayoutError, MissingFileError
+from freetalk.data.pack import FULL_SCALE, NUM_LANDMARKS, SAMPLE_RATE_HZ, Pack
+from freetalk.data.pose import Pose
+from freetalk.data.resampling import frames_at, resample_frames
+from freetalk.data.splits import SPLITS
 
 __all__ = [
     "EMOTIONS",
     "NUM_LANDMARKS",
     "BoolArray",
+    "Dataset",
     "FaceMesh",
     "FloatArray",
-    "MotionDataset",
     "MotionSequence",
-    "chosen",
+    "open_dataset",
+    "open_datasets",
+    "parse_spec",
 ]
 
 FloatArray = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
-
-NUM_LANDMARKS: int = _native.core.NUM_LANDMARKS
+#: Takes that are kept after they were resampled.
+_KEPT = 32
+#: The neutral face that factors of no joint ask for.
+_NOWHERE = np.zeros((1, 3), np.float32)
 
 
 @dataclass(frozen=True)
 class MotionSequence:
-    """One take: where its frames lie, what is heard and which affect it shows.
+    """One take, or a clip of one: where its frames lie, what is heard and which affect it shows.
 
     Attributes:
         id: unique name within the dataset.
         split: ``train``, ``val`` or ``test``.
-        source: where the motion comes from, e.g. ``facegood``, ``synthetic``, ``rom``, ``rest``.
+        source: where the motion comes from, e.g. ``facegood``, ``synthetic``, ``rom``, ``rest``, ``biwi``.
         take: recording that the sequence was cut from.
-        audio: absolute path of the 16 kHz audio; ``None`` where there is none.
-        start_frame: first frame in the packed arrays.
-        num_frames: number of frames T.
+        start_frame: first frame of the take in the packed arrays.
+        stored_frames: frames of the take there, at the pack's rate.
+        num_frames: number of frames T, at `fps`.
+        first_sample: where its sound begins in the packed samples.
+        num_samples: samples of its sound; 0 where there is none.
         emotion: index into the dataset's ``emotions``.
         intensity: real number in [1, 3].
         identity: index of the face that was recorded or drawn.
         voice: speaker.
         text: transcript where known.
-        fps: frames per second of its motion.
+        fps: frames per second.
         topology: meshing that it was recorded on, the only one whose vertices it moves (of
             ``identity``); ``None`` where it moves every face of its dataset.
-        dataset: name of the dataset.
+        dataset: name of the dataset that it belongs to.
+        name: its id in the packed folder.
+        offset: frames of the take, at `fps`, before the first one of the clip.
     """
 
     id: str
     split: str
     source: str
     take: str
-    audio: Path | None
     start_frame: int
+    stored_frames: int
     num_frames: int
+    first_sample: int
+    num_samples: int
     emotion: int
     intensity: float
     identity: int
@@ -68,17 +87,28 @@ class MotionSequence:
     fps: float = 30.0
     topology: str | None = None
     dataset: str = ""
+    name: str = ""
+    offset: int = 0
 
+    @property
+    def has_sound(self) -> bool:
+        """Whether anything was recorded."""
+        return self.num_samples > 0
 
-def chosen(
-    sequences: Sequence[MotionSequence], split: str | None, sources: Sequence[str] | None
-) -> list[MotionSequence]:
-    """Sequences of a split (all if ``None``) and of the given sources (all if ``None``)."""
-    return [
-        s
-        for s in sequences
-        if (split is None or s.split == split) and (sources is None or s.source in sources)
-    ]
+    def clip(self, name: str, first: int, num_frames: int) -> MotionSequence:
+        """Frames [first, first + num_frames) as a sequence of its own."""
+        samples = [
+            round(frame / self.fps * SAMPLE_RATE_HZ) for frame in (first, first + num_frames)
+        ]
+        begin, end = (min(sample, self.num_samples) for sample in samples)
+        return dataclasses.replace(
+            self,
+            id=name,
+            offset=self.offset + first,
+            num_frames=num_frames,
+            first_sample=self.first_sample + begin,
+            num_samples=end - begin,
+        )
 
 
 @dataclass(frozen=True)
@@ -92,6 +122,7 @@ class FaceMesh:
         lip_mask: (V,) bool.
         upper_face_mask: (V,) bool.
         dataset: name of the dataset; its sequences move this face.
+        landmarks: (68,) nearest vertices, where they are known.
     """
 
     name: str
@@ -100,68 +131,474 @@ class FaceMesh:
     lip_mask: BoolArray
     upper_face_mask: BoolArray
     dataset: str = ""
+    landmarks: npt.NDArray[np.int64] | None = None
 
 
-@runtime_checkable
-class MotionDataset(Protocol):
-    """The one interface that training and evaluation use; lengths in metres, time in seconds.
+@dataclass(frozen=True)
+class _Face:
+    """A face or a meshing: its dataset, index or name there, and the splits that it belongs to."""
+
+    dataset: str
+    own: int | str
+    splits: frozenset[str]
+
+
+class Dataset:
+    """What training and evaluation read; lengths in metres, time in seconds, sound at 16 kHz.
 
     Attributes:
         name: of the dataset.
         fps: frames per second; where sequences differ, the highest (each says its own).
         sample_rate_hz: of :meth:`audio`.
         emotions: the vocabulary that the sequences' emotions index into.
+        packs: the folders that are read, by the name of the dataset.
     """
 
-    name: str
-    fps: float
-    sample_rate_hz: int
-    emotions: tuple[str, ...]
+    sample_rate_hz = SAMPLE_RATE_HZ
+    emotions: tuple[str, ...] = EMOTIONS
+
+    def __init__(self, pack: Pack, name: str = "", split: str = "") -> None:
+        """Opens a packed folder.
+
+        Args:
+            pack: the folder.
+            name: what to call it; by default as it calls itself.
+            split: name of the split scheme; empty for the first.
+
+        Raises:
+            DatasetError: unknown split, emotion or identity.
+        """
+        manifest = pack.manifest
+        self.name = name or str(manifest["name"])
+        schemes = list(manifest["splits"])
+        if split and split not in schemes:
+            raise DatasetError(
+                f"{pack.directory} has no split {split!r}; known: {', '.join(schemes)}"
+            )
+        self.packs: dict[str, Pack] = {self.name: pack}
+        self._facts: dict[str, Any] = {**manifest["facts"], "split": {}}
+        self._sequences: list[MotionSequence] = []
+        if schemes:
+            chosen = split or schemes[0]
+            self._facts["split"] = {"name": chosen, "source": manifest["splits"][chosen]}
+            self._sequences = _sequences(pack, self.name, schemes.index(chosen))
+        self._faces: list[_Face] = []
+        self._meshings: dict[str, _Face] = {}
+        self._add_faces(pack)
 
     @property
+    def fps(self) -> float:
+        """Frames per second; the highest where sequences differ."""
+        return max(
+            (s.fps for s in self._sequences), default=max(p.fps for p in self.packs.values())
+        )
+
+    @cached_property
     def fingerprint(self) -> str:
-        """Changes when the data does; names it in caches."""
+        """Changes with the data, the split, the rate and what is shown of it; names it in caches."""
+        shown = [
+            [pack.fingerprint for pack in self.packs.values()],
+            [(s.id, s.split, s.source, s.fps, s.offset, s.num_frames) for s in self._sequences],
+            [(face.own, sorted(face.splits)) for face in (*self._faces, *self._meshings.values())],
+        ]
+        return hashlib.sha256(json.dumps(shown).encode()).hexdigest()[:16]
+
+    @property
+    def expressions(self) -> tuple[str, ...]:
+        """Names of the expressions whose weights move all faces alike; empty where packs have none or differ."""
+        names = {pack.expressions for pack in self.packs.values()}
+        return next(iter(names)) if len(names) == 1 else ()
 
     def sequences(
         self, split: str | None = None, sources: Sequence[str] | None = None
     ) -> list[MotionSequence]:
         """Sequences of a split (all splits if ``None``) and of the given sources (all if ``None``)."""
+        return [
+            s
+            for s in self._sequences
+            if (split is None or s.split == split) and (sources is None or s.source in sources)
+        ]
 
     def landmarks(
         self, sequence: MotionSequence, start: int = 0, stop: int | None = None
     ) -> FloatArray:
         """Landmark displacements of frames [start, stop), (T, 68, 3) float32, m."""
+        return self._rows("landmarks", sequence, start, stop)
+
+    def vertex_displacements(
+        self, topology: str, sequence: MotionSequence, start: int = 0, stop: int | None = None
+    ) -> FloatArray:
+        """Vertex displacements of frames [start, stop) on a meshing, (T, V, 3) float32, m.
+
+        Raises:
+            ValueError: the meshing is of another dataset.
+        """
+        meshing = self._meshing(topology)
+        if meshing.dataset != sequence.dataset:
+            raise ValueError(
+                f"{sequence.id} belongs to {sequence.dataset}, it cannot move a face of {meshing.dataset}"
+            )
+        values = self._rows("motion", sequence, start, stop)
+        if values.ndim == 3:
+            return values
+        pack = self.packs[sequence.dataset]
+        data, neutral = pack.meshing(str(meshing.own)), _NOWHERE
+        if not pack.moves_all:  # FLAME's jaw turns about a joint of the face
+            neutral = data.neutral(pack.identities[int(self._faces[sequence.identity].own)])
+        return data.displacements(values, neutral)
+
+    def weights(
+        self, sequence: MotionSequence, start: int = 0, stop: int | None = None
+    ) -> FloatArray:
+        """Weights of the ``expressions`` in frames [start, stop), (T, E) float32."""
+        if self.expressions:
+            return self._rows("motion", sequence, start, stop)
+        stop = sequence.num_frames if stop is None else stop
+        return np.zeros((stop - start, 0), np.float32)
 
     def audio(self, sequence: MotionSequence) -> FloatArray:
-        """Samples of the sequence at ``sample_rate_hz``, (S,) float32 in [-1, 1]."""
+        """Samples, (S,) float32 in [-1, 1]; silence of its length where nothing was recorded."""
+        if not sequence.has_sound:
+            return np.zeros(round(sequence.num_frames / sequence.fps * SAMPLE_RATE_HZ), np.float32)
+        first = sequence.first_sample
+        samples = self.packs[sequence.dataset].audio.read(first, first + sequence.num_samples)
+        return samples.astype(np.float32) / np.float32(FULL_SCALE)
+
+    def phones(self, sequence: MotionSequence) -> list[tuple[float, float, str]]:
+        """Phones of a whole take as (start in s, end in s, ARPABET label); empty where none are known."""
+        return self.packs[sequence.dataset].phones(sequence.name)
 
     def identities(self, split: str | None = None) -> list[int]:
         """Indices of the faces of a split."""
+        return [i for i, face in enumerate(self._faces) if split is None or split in face.splits]
 
     def topologies(self, split: str | None = None) -> list[str]:
         """Names of the meshings of a split."""
-
-    def mesh(self, identity: int, topology: str) -> FaceMesh:
-        """Neutral face of an identity on a meshing."""
+        return [n for n, face in self._meshings.items() if split is None or split in face.splits]
 
     def num_vertices(self, topology: str) -> int:
         """Vertices V of a meshing."""
+        meshing = self._meshing(topology)
+        entries = self.packs[meshing.dataset].manifest["topologies"]
+        return next(int(e["num_vertices"]) for e in entries if e["name"] == meshing.own)
+
+    def mesh(self, identity: int, topology: str) -> FaceMesh:
+        """Neutral face of an identity on a meshing, the landmarks' mean at the origin."""
+        meshing, face = self._meshing(topology), self._faces[identity]
+        pack = self.packs[meshing.dataset]
+        data = pack.meshing(str(meshing.own))
+        entry = pack.manifest["identities"][int(face.own)]
+        return FaceMesh(
+            name=f"{meshing.dataset}/{entry['name']}/{meshing.own}",
+            vertices=data.neutral(pack.identities[int(face.own)]),
+            faces=data.faces,
+            lip_mask=data.lip_mask,
+            upper_face_mask=data.upper_face_mask,
+            dataset=meshing.dataset,
+            landmarks=data.landmarks,
+        )
 
     def faces(self, split: str | None = None, max_vertices: int = 0) -> list[tuple[int, str]]:
         """(identity, topology) of every face of a split, spread so that any prefix is varied.
+
+        Of a dataset's faces, in round r meshing j meets identity r + j; datasets come in turn.
 
         Args:
             split: of both; all if ``None``.
             max_vertices: larger meshings are left out, 0 for no limit.
         """
+        lists = []
+        for name in self.packs:
+            people = [i for i in self.identities(split) if self._faces[i].dataset == name]
+            meshings = [
+                t
+                for t in self.topologies(split)
+                if self._meshings[t].dataset == name
+                and (max_vertices <= 0 or self.num_vertices(t) <= max_vertices)
+            ]
+            lists.append(
+                [
+                    (people[(turn + column) % len(people)], topology)
+                    for turn in range(len(people))
+                    for column, topology in enumerate(meshings)
+                ]
+            )
+        longest = max((len(pairs) for pairs in lists), default=0)
+        return [pairs[turn] for turn in range(longest) for pairs in lists if turn < len(pairs)]
+
+    def source_frame(self, sequence: MotionSequence) -> tuple[Pose, FloatArray]:
+        """Unit and axes of the files that a sequence was imported from, and where its face lay there.
+
+        Returns:
+            From the files' coordinates to ours, and (3,) the place of our origin in the files' unit.
+        """
+        pack = self.packs[sequence.dataset]
+        entry = pack.manifest["identities"][int(self._faces[sequence.identity].own)]
+        return Pose.of(pack.manifest["facts"]), np.array(entry["origin"], np.float32)
+
+    def drawn(self) -> tuple[str, tuple[str, ...], FloatArray] | None:
+        """A dataset whose faces any weights of named expressions move, its expressions, and what they do.
+
+        Returns:
+            Its name, E names, and (E, 68, 3) landmark displacements at weight 1, m; ``None`` where no dataset
+            has such faces.
+        """
+        for name, pack in self.packs.items():
+            if pack.moves_all and "landmark_basis" in (extras := pack.extras()):
+                return name, pack.expressions, extras["landmark_basis"]
+        return None
+
+    def displacements_of(self, topology: str, weights: FloatArray) -> FloatArray:
+        """(T, V, 3) m: what expression weights (T, E) do to a meshing of :meth:`drawn`'s dataset."""
+        meshing = self._meshing(topology)
+        data = self.packs[meshing.dataset].meshing(str(meshing.own))
+        return data.displacements(weights, _NOWHERE)
 
     def describe(self) -> dict[str, Any]:
-        """What results say of the data: names, unit, frame rate, split, masks by count and hash."""
+        """What results say of the data: kind, unit, frame rate, split, template, masks by count and hash."""
+        counts = {split: len(self.sequences(split)) for split in SPLITS}
+        return {"name": self.name, **self._facts, "fps": self.fps, "sequences": counts}
 
-    def check(self) -> None:
-        """Looks for missing files before a training starts; raises what is wrong by name."""
+    def at(self, fps: float) -> Dataset:
+        """The same data at a frame rate: landmarks and vertices are resampled as they are read."""
+        changed = [
+            s
+            if s.fps == fps
+            else dataclasses.replace(s, fps=fps, num_frames=frames_at(s.num_frames, s.fps, fps))
+            for s in self._sequences
+        ]
+        return self.select(changed)
 
-    def vertex_displacements(
-        self, topology: str, sequence: MotionSequence, start: int = 0, stop: int | None = None
+    def select(
+        self,
+        sequences: Iterable[MotionSequence],
+        *,
+        name: str = "",
+        identities: Mapping[str, int] | None = None,
+        topologies: Mapping[str, Sequence[str]] | None = None,
+        facts: Mapping[str, Any] | None = None,
+    ) -> Dataset:
+        """A part of the data.
+
+        Args:
+            sequences: of this dataset, as they are, or clips of them.
+            name: what the part is called; its faces and sequences say that they belong to it.
+            identities: most faces of a split.
+            topologies: meshings of a split.
+            facts: what :meth:`describe` says of it in place of the whole's.
+        """
+        part = copy.copy(self)
+        part.__dict__.pop("fingerprint", None)
+        part._sequences = list(sequences)
+        if identities is not None:
+            kept = {s: set(self.identities(s)[: identities.get(s)]) for s in SPLITS}
+            part._faces = [
+                dataclasses.replace(f, splits=frozenset(s for s in f.splits if i in kept[s]))
+                for i, f in enumerate(self._faces)
+            ]
+        if topologies is not None:
+            splits = {
+                t: frozenset(s for s in SPLITS if t in topologies.get(s, ()))
+                for t in self._meshings
+            }
+            part._meshings = {
+                t: dataclasses.replace(m, splits=splits[t])
+                for t, m in self._meshings.items()
+                if splits[t]
+            }
+        if facts is not None:
+            part._facts = dict(facts)
+        if name:
+            part._rename(name)
+        return part
+
+    @staticmethod
+    def mixture(parts: Mapping[str, Dataset]) -> Dataset:
+        """The union of datasets with names; each keeps its meshes, its frame rate and its splits.
+
+        Sequences, meshings and sources carry their dataset's name in front (``VOCASET/FLAME``); a source is
+        the dataset's name alone where the dataset has only one, so shares are asked for as
+        ``task.source_weights={VOCASET: 0.5, MEAD: 0.5}``.
+
+        Raises:
+            ValueError: none is given.
+        """
+        if not parts:
+            raise ValueError("a mixture needs at least one dataset")
+        mixed = copy.copy(next(iter(parts.values())))
+        mixed.__dict__.pop("fingerprint", None)
+        mixed.name = "+".join(parts)
+        mixed._facts = {"datasets": {name: part.describe() for name, part in parts.items()}}
+        mixed.packs, mixed._sequences, mixed._faces, mixed._meshings = {}, [], [], {}
+        for name, given in parts.items():
+            part = given.select(given.sequences(), name=name)
+            several = len({s.source for s in part._sequences}) > 1
+            first = len(mixed._faces)
+            mixed._sequences += [
+                dataclasses.replace(
+                    s,
+                    id=f"{name}/{s.id}",
+                    source=f"{name}/{s.source}" if several else name,
+                    identity=s.identity + first,
+                    topology=None if s.topology is None else f"{name}/{s.topology}",
+                )
+                for s in part._sequences
+            ]
+            mixed._faces += part._faces
+            mixed._meshings |= {f"{name}/{t}": m for t, m in part._meshings.items()}
+            mixed.packs |= part.packs
+        return mixed
+
+    def _rename(self, name: str) -> None:
+        """Calls the one dataset of this object otherwise."""
+        ((_, pack),) = self.packs.items()
+        self.name, self.packs = name, {name: pack}
+        self._sequences = [dataclasses.replace(s, dataset=name) for s in self._sequences]
+        self._faces = [dataclasses.replace(f, dataset=name) for f in self._faces]
+        self._meshings = {
+            t: dataclasses.replace(m, dataset=name) for t, m in self._meshings.items()
+        }
+
+    def _add_faces(self, pack: Pack) -> None:
+        """Faces and meshings, in the splits that they name, or those of the sequences recorded on them."""
+        shown: dict[int, set[str]] = {}
+        for s in self._sequences:
+            shown.setdefault(s.identity, set()).add(s.split)
+        for index, entry in enumerate(pack.manifest["identities"]):
+            own = [entry["split"]] if pack.moves_all else shown.get(index, ())
+            self._faces.append(_Face(self.name, index, frozenset(own)))
+        everywhere = frozenset(s.split for s in self._sequences)
+        for entry in pack.manifest["topologies"]:
+            splits = frozenset([entry["split"]]) if pack.moves_all else everywhere
+            self._meshings[entry["name"]] = _Face(self.name, entry["name"], splits)
+
+    def _meshing(self, topology: str) -> _Face:
+        if topology not in self._meshings:
+            known = ", ".join(self._meshings) or "none"
+            raise ValueError(f"no topology {topology!r} in {self.name}; known: {known}")
+        return self._meshings[topology]
+
+    def _rows(
+        self, name: str, sequence: MotionSequence, start: int, stop: int | None
     ) -> FloatArray:
-        """Vertex displacements of frames [start, stop) on a meshing, (T, V, 3) float32, m."""
+        """Frames [start, stop) of ``landmarks`` or ``motion``, at the sequence's rate."""
+        stop = sequence.num_frames if stop is None else min(stop, sequence.num_frames)
+        start, stop = start + sequence.offset, stop + sequence.offset
+        pack = self.packs[sequence.dataset]
+        first = sequence.start_frame
+        if sequence.fps != pack.fps:
+            last = first + sequence.stored_frames
+            return _resampled(pack, name, first, last, sequence.fps)[start:stop].copy()
+        return _stored(pack, name, first + start, first + stop)
+
+
+@lru_cache(maxsize=_KEPT)
+def _resampled(pack: Pack, name: str, first: int, stop: int, fps: float) -> FloatArray:
+    """A take at another rate."""
+    return resample_frames(_stored(pack, name, first, stop), pack.fps, fps)
+
+
+def _stored(pack: Pack, name: str, first: int, stop: int) -> FloatArray:
+    rows = pack.motion if name == "motion" else pack.landmarks
+    if rows is None:
+        raise ValueError(f"{pack.directory} knows the landmarks alone, no vertices")
+    return np.asarray(rows.read(first, stop), np.float32)
+
+
+def _sequences(pack: Pack, name: str, scheme: int) -> list[MotionSequence]:
+    topologies = pack.manifest["topologies"]
+    own = None if pack.moves_all or not topologies else str(topologies[0]["name"])
+    found = []
+    for entry in pack.manifest["sequences"]:
+        split = entry["split"][scheme]
+        if split is None:
+            continue
+        if split not in SPLITS or entry["emotion"] not in EMOTIONS:
+            raise DatasetError(
+                f"{pack.directory}: sequence {entry['id']} has the split {split!r} and the emotion "
+                f"{entry['emotion']!r}; known: {', '.join(SPLITS)}; {', '.join(EMOTIONS)}"
+            )
+        found.append(
+            MotionSequence(
+                id=entry["id"],
+                split=split,
+                source=entry["source"],
+                take=entry["take"] or entry["id"],
+                start_frame=entry["start_frame"],
+                stored_frames=entry["num_frames"],
+                num_frames=entry["num_frames"],
+                first_sample=entry["first_sample"],
+                num_samples=entry["num_samples"],
+                emotion=EMOTIONS.index(entry["emotion"]),
+                intensity=float(entry["intensity"]),
+                identity=entry["identity"],
+                voice=entry["voice"],
+                text=entry["text"],
+                fps=pack.fps,
+                topology=own,
+                dataset=name,
+                name=entry["id"],
+            )
+        )
+    return found
+
+
+def parse_spec(spec: str) -> tuple[str, str, str]:
+    """Takes ``NAME=PATH``, ``NAME:SPLIT=PATH`` or a plain path apart.
+
+    Returns:
+        name (empty for a plain path), split scheme (empty for the default), path.
+    """
+    name, equals, path = spec.partition("=")
+    if not equals or "/" in name or Path(spec).exists():
+        return "", "", spec
+    name, _, split = name.partition(":")
+    return name, split, path
+
+
+def open_dataset(path: str | Path, *, name: str = "", split: str = "") -> Dataset:
+    """Opens what ``freetalk data import`` or ``freetalk corpus build`` wrote.
+
+    Args:
+        path: its folder.
+        name: what results call it; by default as it calls itself.
+        split: name of the split scheme; empty for the dataset's first.
+
+    Raises:
+        MissingFileError, LayoutError: no folder; not packed, with the command that packs it.
+        DatasetError: a file disagrees with the manifest, or an unknown split.
+    """
+    directory = Path(path)
+    if not directory.is_dir():
+        raise MissingFileError(f"{directory} is no folder")
+    if not (directory / "manifest.json").is_file():
+        from freetalk.data.releases import kind_of
+
+        raise LayoutError(
+            f"{directory} is not packed: run 'freetalk data import {kind_of(directory)} {directory} --out DIR' "
+            "once, and give DIR"
+        )
+    return Dataset(Pack(directory), name, split)
+
+
+def open_datasets(specs: str | Path | Iterable[str | Path]) -> Dataset:
+    """Opens one dataset, or a mixture of several.
+
+    Args:
+        specs: one or several of ``PATH``, ``NAME=PATH``, ``NAME:SPLIT=PATH``.
+
+    Raises:
+        DatasetError: what is missing or wrong, by name.
+        ValueError: no dataset, or two of one name.
+    """
+    given = [specs] if isinstance(specs, str | Path) else list(specs)
+    if not given:
+        raise ValueError("no dataset is given")
+    parts: dict[str, Dataset] = {}
+    for spec in given:
+        name, split, path = parse_spec(str(spec))
+        dataset = open_dataset(path, name=name, split=split)
+        if dataset.name in parts:
+            raise ValueError(f"two datasets are called {dataset.name}; give them names: NAME=PATH")
+        parts[dataset.name] = dataset
+    return next(iter(parts.values())) if len(parts) == 1 else Dataset.mixture(parts)

@@ -37,21 +37,3 @@ class NotFiniteError(DatasetError):
 
 class LabelError(DatasetError):
     """An emotion or an intensity that the tables do not know."""
-
-
-class Findings:
-    """Collects what is wrong: raises at once, or goes on and keeps everything for a report.
-
-    Args:
-        strict: raise the first finding.
-    """
-
-    def __init__(self, strict: bool = True) -> None:
-        self.strict = strict
-        self.errors: list[Exception] = []
-
-    def add(self, error: Exception) -> None:
-        """Raises or keeps an error."""
-        if self.strict:
-            raise error
-        self.errors.append(error)

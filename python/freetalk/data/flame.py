@@ -1,4 +1,4 @@
-"""FLAME (Li et al. 2017) in NumPy: expression and jaw to vertices, for datasets that store parameters."""
+"""FLAME (Li et al. 2017): the factors of a meshing, for datasets that store its parameters."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
-from freetalk.data.dataset import FloatArray
 from freetalk.data.errors import DatasetError, MissingFileError
+from freetalk.data.pack import FloatArray
 from freetalk.data.templates import templates_home
 
 _JAW = 2  # joints: global, neck, jaw, eyes
@@ -47,39 +48,32 @@ class Flame:
         offset = np.tensordot(shape[:count], self.shape_basis[:count], axes=1)
         return (self.template + offset).astype(np.float32)
 
-    def posed(
-        self, neutral: FloatArray, expression: npt.NDArray[Any], jaw: npt.NDArray[Any]
-    ) -> FloatArray:
-        """Vertices of frames: expression, jaw's corrective shapes, jaw's rotation (Eq. 1-3 of FLAME).
+    def factors(self, values: npt.NDArray[Any]) -> FloatArray:
+        """(T, E + 9) factors of a meshing: expression, and the jaw's rotation matrix minus the identity.
 
         Args:
-            neutral: (V, 3) m.
-            expression: (T, E) coefficients.
-            jaw: (T, 3) axis times angle, radians.
-
-        Returns:
-            (T, V, 3) float32, m.
+            values: (T, E + 3) expression, and the jaw's axis times angle, radians.
         """
-        count = min(expression.shape[1], len(self.expression_basis))
-        flat = self.expression_basis[:count].reshape(count, -1)
-        shaped = neutral + (expression[:, :count].astype(np.float32) @ flat).reshape(
-            len(jaw), -1, 3
-        )
-        joint = np.einsum("v,tvd->td", self.jaw_regressor, shaped)[:, None]
-        turn = rotation_matrices(jaw) - np.eye(3, dtype=np.float32)  # (T, 3, 3)
-        posed = shaped + np.tensordot(turn.reshape(-1, 9), self.jaw_basis, axes=1)
-        moved = np.einsum("tij,tvj->tvi", turn, posed - joint)
-        return (posed + self.jaw_weights[:, None] * moved).astype(np.float32)
+        turn = Rotation.from_rotvec(values[:, -3:]).as_matrix() - np.eye(3)
+        return np.concatenate([values[:, :-3], turn.reshape(-1, 9)], axis=1).astype(np.float32)
 
+    def arrays(self, num_expressions: int) -> dict[str, npt.NDArray[Any]]:
+        """What a meshing needs to make vertices of :meth:`factors`.
 
-def rotation_matrices(vectors: npt.NDArray[Any]) -> FloatArray:
-    """(T, 3, 3) rotations of axis times angle (T, 3) (Rodrigues)."""
-    angle = np.linalg.norm(vectors, axis=1)
-    x, y, z = (vectors / np.maximum(angle, 1e-12)[:, None]).T
-    zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-    sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return (np.eye(3) + sine * cross + (1 - cosine) * (cross @ cross)).astype(np.float32)
+        Raises:
+            DatasetError: the model has fewer expressions.
+        """
+        if num_expressions > len(self.expression_basis):
+            raise DatasetError(
+                f"{self.source} has {len(self.expression_basis)} expressions, the takes {num_expressions}"
+            )
+        return {
+            "expression_basis": np.concatenate(
+                [self.expression_basis[:num_expressions], self.jaw_basis]
+            ),
+            "jaw_weights": self.jaw_weights,
+            "jaw_regressor": self.jaw_regressor,
+        }
 
 
 def find_flame(directory: Path) -> Flame:

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from freetalk.data.dataset import NUM_LANDMARKS, FloatArray
 from freetalk.data.errors import DatasetError, VertexCountError
-from freetalk.data.frames import read_header
+from freetalk.data.pack import NUM_LANDMARKS, FloatArray
 from freetalk.data.safe_pickle import load_pickle, read_pickle
 
 IndexArray = npt.NDArray[np.int64]
@@ -224,7 +223,9 @@ def _content(path: Path) -> Any:
 def _npy(path: Path) -> Any:
     """A ``.npy``; one that holds a pickled object is read by the restricted unpickler."""
     with path.open("rb") as file:
-        if not read_header(file)[1].hasobject:
+        version = np.lib.format.read_magic(file)
+        reads = "read_array_header_1_0" if version == (1, 0) else "read_array_header_2_0"
+        if not getattr(np.lib.format, reads)(file)[2].hasobject:
             return np.load(path, allow_pickle=False)
         held = read_pickle(file, str(path))
     return held.item() if isinstance(held, np.ndarray) and held.shape == () else held

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from freetalk import geometry
-from freetalk.data.dataset import NUM_LANDMARKS
+from freetalk.data.pack import NUM_LANDMARKS
 from freetalk.mesh import vertex_normals
 
 Points = npt.NDArray[np.float64]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,11 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from freetalk import _native
-from freetalk.data.dataset import FloatArray
 from freetalk.data.errors import DatasetError
+
+FloatArray = npt.NDArray[np.float32]
 
 #: Metres per unit.
 UNITS: dict[str, float] = _native.core.UNITS
+_AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 #: Between the outer corners of the eyes (landmarks 36 and 45): range over adults with a margin, mean.
 _EYES_M, _EYES_MEAN_M = (0.065, 0.115), 0.088
 #: Longest side of the box around a mesh, from a face mask to a head with shoulders.
@@ -43,16 +46,34 @@ class Pose:
             return points * np.float32(self.scale)
         return (points @ self.rotation.T) * np.float32(self.scale)
 
+    def undo(self, points: FloatArray) -> FloatArray:
+        """Points or displacements (..., 3) in the file's coordinates again."""
+        return (points / np.float32(self.scale)) @ self.rotation
+
+    @classmethod
+    def of(cls, described: Mapping[str, Any]) -> Pose:
+        """What :meth:`describe` told."""
+        rotation = np.zeros((3, 3), np.float32)
+        for row, axis in enumerate(described["x_y_z_from"]):
+            column, negative = divmod(_AXES.index(axis), 2)
+            rotation[row, column] = -1 if negative else 1
+        return cls(
+            described["metres_per_unit"], described["unit"], rotation, str(described["reason"])
+        )
+
     def describe(self) -> dict[str, Any]:
         """Unit, scale, axes and reason, as results name them."""
-        axes = ["+x", "-x", "+y", "-y", "+z", "-z"]
-        rows = [axes[2 * int(np.abs(r).argmax()) + int(r.sum() < 0)] for r in self.rotation]
+        rows = [_AXES[2 * int(np.abs(r).argmax()) + int(r.sum() < 0)] for r in self.rotation]
         return {
             "unit": self.unit,
             "metres_per_unit": self.scale,
             "x_y_z_from": rows,
             "reason": self.reason,
         }
+
+
+#: Of data that is in metres and our axes.
+METRES = Pose(1.0, "m", np.eye(3, dtype=np.float32), "made so")
 
 
 def find_pose(templates: list[FloatArray], landmarks: list[FloatArray], unit: str = "auto") -> Pose:

@@ -50,15 +50,20 @@ class SplitScheme:
         source: whose it is.
         speakers: speakers of each split.
         sentences: first and last sentence of a split, where not all belong to it.
+        variant: of the takes that belong to it, where a release has several (BIWI's emotional ``e``);
+            ``None`` for all.
     """
 
     name: str
     source: str
     speakers: dict[str, tuple[str, ...]]
     sentences: dict[str, tuple[int, int]] = field(default_factory=dict)
+    variant: str | None = None
 
-    def of(self, speaker: str, sentence: int | None = None) -> str | None:
+    def of(self, speaker: str, sentence: int | None = None, variant: str = "") -> str | None:
         """The split of a sequence; ``None`` leaves it out."""
+        if self.variant not in (None, variant):
+            return None
         for split, speakers in self.speakers.items():
             if speaker not in speakers:
                 continue
@@ -76,12 +81,15 @@ SCHEMES: dict[str, tuple[SplitScheme, ...]] = {
         SplitScheme("scantalk", "ScanTalk (Nocentini et al. 2024): all 40 sentences", _VOCA),
     ),
     "biwi": (
-        SplitScheme("scantalk", "ScanTalk (Nocentini et al. 2024)", _BIWI),
+        SplitScheme(
+            "scantalk", "ScanTalk (Nocentini et al. 2024): the neutral takes", _BIWI, variant=""
+        ),
         SplitScheme(
             "faceformer",
-            "FaceFormer (Fan et al. 2022): speakers of train and val are the same",
+            "FaceFormer (Fan et al. 2022): the emotional takes; speakers of train and val are the same",
             _BIWI_FACEFORMER,
             {"train": (1, 32), "val": (33, 36), "test": (37, 40)},
+            "e",
         ),
     ),
     "multiface": (SplitScheme("scantalk", "ScanTalk (Nocentini et al. 2024)", _MULTIFACE),),
@@ -89,48 +97,37 @@ SCHEMES: dict[str, tuple[SplitScheme, ...]] = {
 }
 
 
-def scheme_of(
-    kind: str, name: str, speakers: Iterable[str], directory: Path | None = None
-) -> SplitScheme:
-    """The split scheme of a dataset.
+def schemes_of(
+    kind: str, speakers: Iterable[str], directory: Path | None = None
+) -> list[SplitScheme]:
+    """The split schemes of a dataset, the default first.
 
-    A ``splits.json`` in its folder (``{"train": [speakers], "val": [..], "test": [..]}``) wins over the
-    default, not over a name that is asked for. MEAD knows ``freetalk``, the paper's 36 / 5 / 6 actors
-    (which ones it does not say: ours are drawn by the hash of their names), and ``emote``, the first
-    70 % of the men and of the women in order, then 15 %, as EMOTE's code does it. Folders of one's own
-    know ``speakers`` (8 : 1 : 1 of the speakers, at least one each, by the same hash).
+    A ``splits.json`` in its folder (``{"train": [speakers], "val": [..], "test": [..]}``) comes first. MEAD
+    knows ``freetalk``, the paper's 36 / 5 / 6 actors (which ones it does not say: ours are drawn by the hash of
+    their names), and ``emote``, the first 70 % of the men and of the women in order, then 15 %, as EMOTE's code
+    does it. Folders of one's own know ``speakers`` (8 : 1 : 1 of the speakers, at least one each, by the same
+    hash).
 
     Args:
         kind: ``vocaset``, ``biwi``, ``multiface``, ``emovoca``, ``mead`` or another.
-        name: name of the scheme; empty for the default.
         speakers: all speakers of the dataset.
         directory: its folder.
 
     Raises:
-        DatasetError: unknown name; lists the known ones.
+        DatasetError: a ``splits.json`` that is none.
     """
     everyone = sorted(set(speakers))
     own = None if directory is None else directory / "splits.json"
-    if not name and own is not None and own.is_file():
-        return _own_scheme(own)
-    schemes = SCHEMES.get(kind)
-    if schemes is None:
-        made = {"freetalk": _drawn(everyone, 36, 5), "emote": _by_order(everyone)}
-        if kind != "mead":
-            made = {"speakers": _drawn(everyone, 8, 1, 10)}
-        sources = {
-            "freetalk": "sizes of FreeTalk 4.1; the actors are drawn by hash, the paper names none",
-            "emote": "EMOTE (Danecek et al. 2023), random_by_identityV2_sorted_70_15_15",
-            "speakers": "8 : 1 : 1 of the speakers, drawn by hash",
-        }
-        schemes = tuple(SplitScheme(n, sources[n], s) for n, s in made.items())
-    for scheme in schemes:
-        if name in ("", scheme.name):
-            return scheme
-    names = ", ".join(s.name for s in schemes)
-    raise DatasetError(
-        f"{kind} has no split {name!r}; known: {names}, or a splits.json of your own"
-    )
+    schemes = [] if own is None or not own.is_file() else [_own_scheme(own)]
+    if kind == "mead":
+        source = "sizes of FreeTalk 4.1; the actors are drawn by hash, the paper names none"
+        schemes.append(SplitScheme("freetalk", source, _drawn(everyone, 36, 5)))
+        source = "EMOTE (Danecek et al. 2023), random_by_identityV2_sorted_70_15_15"
+        schemes.append(SplitScheme("emote", source, _by_order(everyone)))
+    elif kind not in SCHEMES:
+        source = "8 : 1 : 1 of the speakers, drawn by hash"
+        schemes.append(SplitScheme("speakers", source, _drawn(everyone, 8, 1, 10)))
+    return [*schemes, *SCHEMES.get(kind, ())]
 
 
 def _own_scheme(path: Path) -> SplitScheme:

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from freetalk.data.dataset import FloatArray
 from freetalk.data.errors import DatasetError, MissingFileError, MissingLandmarksError
 from freetalk.data.index_files import (
     SUFFIXES,
+    FloatArray,
     Landmarks,
     Mask,
     index_hash,

@@ -7,14 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from freetalk.data import (
-    NUM_LANDMARKS,
-    DatasetError,
-    Mask,
-    MotionDataset,
-    MotionSequence,
-    RegisteredDataset,
-)
+from freetalk.data import NUM_LANDMARKS, Dataset, DatasetError, Mask, MotionSequence
 from freetalk.data.landmarks import INNER_LIP_PAIRS
 from freetalk.data.pose import Pose
 from freetalk.evaluate.masks import Pairs, landmark_masks, landmark_pairs
@@ -33,7 +26,7 @@ class DatasetTruth:
         topology: a meshing, ``landmarks``, or ``None`` for the only one.
     """
 
-    dataset: MotionDataset
+    dataset: Dataset
     split: str
     topology: str | None
     names: list[str] = field(init=False)
@@ -66,10 +59,9 @@ class DatasetTruth:
         for key, flags in (("lips", mesh.lip_mask), ("upper", mesh.upper_face_mask)):
             if flags.any():
                 self.masks[key] = Mask(np.flatnonzero(flags).astype(np.int64), source)
-        if isinstance(self.dataset, RegisteredDataset) and self.dataset.template.landmarks:
+        if mesh.landmarks is not None:
             upper, lower = INNER_LIP_PAIRS
-            indices = self.dataset.template.landmarks.indices
-            self.lip_pairs = (indices[list(upper)], indices[list(lower)])
+            self.lip_pairs = (mesh.landmarks[list(upper)], mesh.landmarks[list(lower)])
 
     @property
     def has_neutral(self) -> bool:
@@ -108,13 +100,12 @@ class DatasetTruth:
 
     def phones(self, name: str) -> Phones:
         """Phones of a sequence, where the dataset knows them."""
-        known = getattr(self.dataset, "phones", None)
-        return [] if known is None else list(known(self._sequences[name]))
+        return self.dataset.phones(self._sequences[name])
 
     def audio(self, name: str) -> tuple[FloatArray, float] | None:
         """Samples and rate."""
         sequence = self._sequences[name]
-        if sequence.audio is None:
+        if not sequence.has_sound:
             return None
         return self.dataset.audio(sequence), float(self.dataset.sample_rate_hz)
 
@@ -133,14 +124,12 @@ class DatasetTruth:
         }
 
     def _frame_of(self, sequence: MotionSequence) -> tuple[Pose, FloatArray | None]:
-        """From the files' unit and axes to ours; the neutral face in theirs, which landmarks lack."""
-        dataset, sparse = self.dataset, self.topology == LANDMARKS
-        if isinstance(dataset, RegisteredDataset):
-            return dataset.pose, None if sparse else dataset.neutral(sequence)
-        pose = Pose(1.0, "m", np.eye(3, dtype=np.float32), "metres")
-        if sparse:
+        """From the source's unit and axes to ours; the neutral face in theirs, which landmarks lack."""
+        pose, origin = self.dataset.source_frame(sequence)
+        if self.topology == LANDMARKS:
             return pose, None
-        return pose, dataset.mesh(sequence.identity, str(self.topology)).vertices
+        mesh = self.dataset.mesh(sequence.identity, str(self.topology))
+        return pose, pose.undo(mesh.vertices) + origin
 
 
 def origin_of(sequence: MotionSequence) -> Origin:

@@ -11,7 +11,6 @@ import numpy as np
 
 from freetalk.audio import load_audio
 from freetalk.data import NUM_LANDMARKS, DatasetError, LayoutError, Mask, open_dataset
-from freetalk.data.catalogue import kind_of
 from freetalk.evaluate.dataset_truth import DatasetTruth
 from freetalk.evaluate.masks import Pairs, landmark_masks, landmark_pairs
 from freetalk.evaluate.motion_files import (
@@ -118,16 +117,13 @@ def open_ground_truth(
         ValueError, OSError: what is missing or wrong.
     """
     try:
-        kind_of(path)
+        return DatasetTruth(open_dataset(path), split or "test", topology)
     except LayoutError:
         if not motion_paths(path):
             raise
-        if split or topology:
-            raise ValueError(
-                f"{path} is a folder of motion: it has no splits and no topologies"
-            ) from None
-        return FolderTruth(path, settings)
-    return DatasetTruth(open_dataset(path), split or "test", topology)
+    if split or topology:
+        raise ValueError(f"{path} is a folder of motion: it has no splits and no topologies")
+    return FolderTruth(path, settings)
 
 
 class FolderTruth:

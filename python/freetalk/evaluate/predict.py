@@ -12,7 +12,7 @@ import numpy.typing as npt
 from tqdm import tqdm
 
 from freetalk._files import content_hash, replacing, write_json
-from freetalk.data import MotionDataset, MotionSequence
+from freetalk.data import Dataset, MotionSequence
 from freetalk.evaluate.dataset_truth import LANDMARKS
 from freetalk.evaluate.pretrained import LandmarksToMesh, SpeechToMotion
 
@@ -42,7 +42,7 @@ class PredictOptions:
 
 
 def predict(
-    dataset: MotionDataset,
+    dataset: Dataset,
     pretrained: Path,
     out: Path,
     options: PredictOptions,
@@ -73,7 +73,7 @@ def predict(
     """
     topology = options.topology or _only_topology(dataset, options.split)
     spoken = options.driver == "speech"
-    clips = [c for c in dataset.sequences(options.split) if c.audio is not None or not spoken]
+    clips = [c for c in dataset.sequences(options.split) if c.has_sound or not spoken]
     if not clips:
         what = "clip with sound" if spoken else "clip"
         raise ValueError(f"{dataset.name} has no {what} in its split {options.split!r}")
@@ -98,11 +98,12 @@ def predict(
             if mesh is not None:
                 face = clip.topology or topology
                 moved = mesh.vertices(dataset, clip.identity, face, moved).numpy()
-            _write(path, _as_filed(dataset, moved), clip.fps)
+            pose, _ = dataset.source_frame(clip)  # metres, in the axes of the source's files
+            _write(path, moved @ pose.rotation, clip.fps)
     return count * len(clips)
 
 
-def _only_topology(dataset: MotionDataset, split: str) -> str:
+def _only_topology(dataset: Dataset, split: str) -> str:
     known = dataset.topologies(split)
     if len(known) != 1:
         raise ValueError(
@@ -114,7 +115,7 @@ def _only_topology(dataset: MotionDataset, split: str) -> str:
 
 def _claim(
     out: Path,
-    dataset: MotionDataset,
+    dataset: Dataset,
     weights: Mapping[str, Path],
     topology: str,
     options: PredictOptions,
@@ -141,12 +142,6 @@ def _paths(out: Path, name: str, samples: int) -> Sequence[Path]:
     if samples == 1:
         return [out / f"{name}.npz"]
     return [out / f"{name}_sample{number}.npz" for number in range(samples)]
-
-
-def _as_filed(dataset: MotionDataset, displacements: FloatArray) -> FloatArray:
-    """Metres, in the axes of the dataset's own files."""
-    pose = getattr(dataset, "pose", None)
-    return displacements if pose is None else displacements @ pose.rotation
 
 
 def _write(path: Path, displacements: FloatArray, fps: float) -> None:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import torch
 
 from freetalk.ats import Ats, GenerateOptions, generate, generate_batch
-from freetalk.data import MotionDataset, MotionSequence, interpolate_frames
+from freetalk.data import Dataset, MotionSequence, interpolate_frames
 from freetalk.speech import SpeechEncoder, encode_speech
 from freetalk.stm import FrameDecoder, Stm
 from freetalk.train.stm_meshes import prepare_mesh
@@ -122,7 +122,7 @@ class SpeechToMotion:
 
     def perform(
         self,
-        dataset: MotionDataset,
+        dataset: Dataset,
         clips: Sequence[MotionSequence],
         seeds: Sequence[Sequence[int]],
         batch: int = 0,
@@ -169,14 +169,14 @@ class LandmarksToMesh:
         self._prepared: Callable[..., FrameDecoder] = keep(self._prepare)
 
     def vertices(
-        self, dataset: MotionDataset, identity: int, topology: str, landmarks: FloatArray
+        self, dataset: Dataset, identity: int, topology: str, landmarks: FloatArray
     ) -> torch.Tensor:
         """Vertex displacements (T, V, 3) m, on the CPU, of landmark displacements (T, 68, 3) m."""
         decoder = self._prepared(dataset, identity, topology)
         motion = torch.from_numpy(np.ascontiguousarray(landmarks, dtype=np.float32))
         return decoder.decode(motion.to(self.device)).float().cpu()
 
-    def _prepare(self, dataset: MotionDataset, identity: int, topology: str) -> FrameDecoder:
+    def _prepare(self, dataset: Dataset, identity: int, topology: str) -> FrameDecoder:
         options = self.stm.options
         mesh = prepare_mesh(
             dataset, identity, topology, options.length_scale, options.k_eig, device=self.device

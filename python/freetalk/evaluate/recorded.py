@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
-from freetalk.data import AtRate, MotionDataset, lip_opening
+from freetalk.data import Dataset, lip_opening
 from freetalk.evaluate.pretrained import SpeechToMotion
 from freetalk.evaluate.speech_motion import correlation
 
@@ -24,7 +24,7 @@ _MOUTH = {"opening": lip_opening, "width": lambda moved: moved[..., 54, 0] - mov
 
 
 def evaluate_recorded(
-    dataset: MotionDataset, model: SpeechToMotion, split: str = "test", samples: int = 1
+    dataset: Dataset, model: SpeechToMotion, split: str = "test", samples: int = 1
 ) -> dict[str, Any]:
     """Correlation of generated with recorded opening and width of the mouth over all clips of a split.
 
@@ -43,8 +43,8 @@ def evaluate_recorded(
     Raises:
         ValueError: the split has no sequence with sound.
     """
-    source = AtRate(dataset, model.fps)
-    chosen = [s for s in source.sequences(split) if s.audio is not None]
+    source = dataset.at(model.fps)
+    chosen = [s for s in source.sequences(split) if s.has_sound]
     if not chosen:
         raise ValueError(f"{dataset.name} has no sequence with sound in the split {split!r}")
     pairs: list[tuple[FloatArray, FloatArray]] = []

@@ -25,7 +25,7 @@ from tqdm import tqdm
 from freetalk.audio import load_audio
 from freetalk.corpus.alignment import aligned_files
 from freetalk.corpus.phones import Phone
-from freetalk.data import OpenCorpus
+from freetalk.data import Dataset
 from freetalk.speech import SAMPLE_RATE_HZ, EncodeOptions, SpeechEncoder, encode_speech
 
 VISEMES: dict[str, tuple[str, ...]] = {
@@ -150,7 +150,7 @@ def scores_of(counts: Confusion) -> dict[str, Any]:
     }
 
 
-def corpus_recordings(corpus: OpenCorpus, split: str, limit: int = 0) -> dict[str, Recording]:
+def corpus_recordings(corpus: Dataset, split: str, limit: int = 0) -> dict[str, Recording]:
     """Synthetic speech of a split with its engine's own phone timings, evenly thinned to `limit`.
 
     Raises:

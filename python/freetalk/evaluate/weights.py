@@ -8,7 +8,7 @@ recorded motion, reads from generated faces; motion at intensity 3 against 1.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,8 @@ import numpy.typing as npt
 from tqdm import tqdm
 
 from freetalk.audio import load_audio
-from freetalk.data import MotionDataset, MotionSequence, lip_opening
+from freetalk.data import Dataset, MotionSequence, lip_opening
 from freetalk.data.landmarks import UPPER_FACE
-from freetalk.evaluate.motion_files import Phones
 from freetalk.evaluate.pretrained import LandmarksToMesh, SpeechToMotion
 from freetalk.evaluate.speech_motion import (
     NearestCentroid,
@@ -39,7 +38,7 @@ _MOST_CLIPS = 40
 
 
 def evaluate_stm(
-    dataset: MotionDataset,
+    dataset: Dataset,
     model: LandmarksToMesh,
     identities_per_topology: int = 2,
     windows_per_source: int = 3,
@@ -86,7 +85,7 @@ def evaluate_stm(
     }
 
 
-def _faces(dataset: MotionDataset, per_topology: int) -> Iterator[tuple[str, int]]:
+def _faces(dataset: Dataset, per_topology: int) -> Iterator[tuple[str, int]]:
     """Test faces: those that test sequences were recorded on, or `per_topology` identities a meshing in turn."""
     recorded = {(s.topology, s.identity) for s in dataset.sequences("test") if s.topology}
     if recorded:
@@ -99,7 +98,7 @@ def _faces(dataset: MotionDataset, per_topology: int) -> Iterator[tuple[str, int
 
 
 def evaluate_opening(
-    dataset: MotionDataset, model: SpeechToMotion, take: str | None, samples: int = 5
+    dataset: Dataset, model: SpeechToMotion, take: str | None, samples: int = 5
 ) -> Scores:
     """Correlation of generated and recorded inner-lip opening over held-out speech.
 
@@ -112,7 +111,7 @@ def evaluate_opening(
     Raises:
         ValueError: no test sequence has sound, or none of the take.
     """
-    heard = [s for s in dataset.sequences("test") if s.audio is not None]
+    heard = [s for s in dataset.sequences("test") if s.has_sound]
     chosen = [s for s in heard if s.take == (take or CAPTURED_TAKE) and s.emotion == 0]
     if not chosen and take is not None:
         raise ValueError(f"{dataset.name} has no neutral test sequence of take {take!r}")
@@ -154,10 +153,9 @@ def evaluate_energy(model: SpeechToMotion, path: Path, samples: int = 3) -> Scor
     return {"correlation": float(np.mean(values)), "lowest": float(np.min(values))}
 
 
-def evaluate_closures(dataset: MotionDataset, model: SpeechToMotion) -> Scores | None:
+def evaluate_closures(dataset: Dataset, model: SpeechToMotion) -> Scores | None:
     """Share of p, b, m at which the lips close, generated and recorded; ``None`` where no phones are known."""
-    phones_of: Callable[[MotionSequence], Phones] = getattr(dataset, "phones", lambda _: [])
-    chosen = [s for s in _speech(dataset) if phones_of(s)][:_MOST_CLIPS]
+    chosen = [s for s in _speech(dataset) if dataset.phones(s)][:_MOST_CLIPS]
     if not chosen:
         return None
     generated: list[bool] = []
@@ -165,7 +163,7 @@ def evaluate_closures(dataset: MotionDataset, model: SpeechToMotion) -> Scores |
     correlations: list[float] = []
     spoken = model.perform(dataset, chosen, [[seed] for seed in range(len(chosen))])
     for sequence, motions in tqdm(spoken, desc="closures", total=len(chosen), leave=False):
-        phones, motion = phones_of(sequence), motions[0]
+        phones, motion = dataset.phones(sequence), motions[0]
         true = dataset.landmarks(sequence)
         generated += closures(motion, phones, sequence.fps)
         recorded += closures(true, phones, sequence.fps)
@@ -180,13 +178,13 @@ def evaluate_closures(dataset: MotionDataset, model: SpeechToMotion) -> Scores |
 
 
 def evaluate_emotions(
-    dataset: MotionDataset, model: SpeechToMotion, clips: int = 3, intensity: float = 2.0
+    dataset: Dataset, model: SpeechToMotion, clips: int = 3, intensity: float = 2.0
 ) -> Scores | None:
     """Recognised labels of generated faces, and how much more intensity 3 moves than 1.
 
     ``None`` where the train split has fewer than two of the weights' emotions, or the test split no speech.
     """
-    train = [s for s in dataset.sequences("train") if s.audio is not None and s.num_frames > 30]
+    train = [s for s in dataset.sequences("train") if s.has_sound and s.num_frames > 30]
     strong = [s for s in train if s.emotion == 0 or s.intensity >= 1.5]
     known = {dataset.emotions[s.emotion] for s in strong}
     labels = [emotion for emotion in model.emotions if emotion in known]
@@ -223,9 +221,9 @@ def evaluate_emotions(
     }
 
 
-def _speech(dataset: MotionDataset) -> list[MotionSequence]:
+def _speech(dataset: Dataset) -> list[MotionSequence]:
     """Test sequences that speak; of the open corpus the English ones, whose phones and emotions are known."""
-    heard = [s for s in dataset.sequences("test") if s.audio is not None and s.source != "rest"]
+    heard = [s for s in dataset.sequences("test") if s.has_sound and s.source != "rest"]
     return [s for s in heard if s.source == "synthetic"] or heard
 
 
@@ -256,7 +254,7 @@ def _flat(scores: Scores, prefix: str = "") -> Iterator[tuple[str, str]]:
 
 
 def measure(
-    dataset: MotionDataset,
+    dataset: Dataset,
     pretrained: Path,
     *,
     parts: Sequence[str] = PARTS,

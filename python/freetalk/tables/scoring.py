@@ -12,13 +12,13 @@ import torch
 from tqdm import tqdm
 
 from freetalk import metrics
-from freetalk.data import FaceMesh, MotionSequence
+from freetalk.data import Dataset, FaceMesh, MotionSequence
 from freetalk.evaluate.dataset_truth import origin_of
 from freetalk.evaluate.masks import landmark_masks
 from freetalk.evaluate.metric_specs import spec_of
 from freetalk.evaluate.motion_files import Origin
 from freetalk.evaluate.pretrained import LandmarksToMesh, SpeechToMotion
-from freetalk.tables.views import DatasetView
+from freetalk.tables.views import faces_of
 from freetalk.train.ats_inputs import named_encoder
 
 FloatArray = npt.NDArray[np.float32]
@@ -110,10 +110,10 @@ def lip_edges(faces: npt.NDArray[np.int64], lips: npt.NDArray[np.bool_]) -> torc
     return torch.from_numpy(pairs)
 
 
-def still_face(view: DatasetView, names: Sequence[str], on_landmarks: bool) -> ClipScores:
+def still_face(view: Dataset, names: Sequence[str], on_landmarks: bool) -> ClipScores:
     """Scores of a face that does not move, which numbers are read against."""
     scores = ClipScores()
-    for clip, identity, topology in view.faces_of("test"):
+    for clip, identity, topology in faces_of(view, "test"):
         if on_landmarks:
             masks, true = _landmark_masks(), torch.from_numpy(view.landmarks(clip))
         else:
@@ -138,7 +138,7 @@ def _landmark_masks() -> Masks:
 
 def mesh_scores(
     model: LandmarksToMesh,
-    view: DatasetView,
+    view: Dataset,
     names: Sequence[str],
     landmarks: Callable[[MotionSequence], FloatArray],
 ) -> ClipScores:
@@ -146,7 +146,7 @@ def mesh_scores(
     scores = ClipScores()
     masks: dict[tuple[int, str], Masks] = {}
     for clip, identity, topology in tqdm(
-        view.faces_of("test"), desc=f"score {view.name}", leave=False
+        faces_of(view, "test"), desc=f"score {view.name}", leave=False
     ):
         face = identity, topology
         if face not in masks:
@@ -159,7 +159,7 @@ def mesh_scores(
 
 
 def landmark_scores(
-    view: DatasetView, names: Sequence[str], landmarks: Callable[[MotionSequence], FloatArray]
+    view: Dataset, names: Sequence[str], landmarks: Callable[[MotionSequence], FloatArray]
 ) -> ClipScores:
     """Scores of landmarks, (T, 68, 3) m at the view's rate, on the test clips."""
     masks = _landmark_masks()
@@ -172,7 +172,7 @@ def landmark_scores(
     return scores
 
 
-def spoken(model: SpeechToMotion, view: DatasetView) -> dict[str, FloatArray]:
+def spoken(model: SpeechToMotion, view: Dataset) -> dict[str, FloatArray]:
     """Landmarks (T, 68, 3) m of the test clips from their sound, each with a seed of its own."""
     clips = view.sequences("test")
     made = model.perform(view, clips, [[seed] for seed in range(len(clips))])

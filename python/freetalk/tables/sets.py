@@ -7,16 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from freetalk.data import (
-    MixedDataset,
-    MotionDataset,
-    MotionSequence,
-    OpenCorpus,
-    open_dataset,
-    parse_spec,
-)
+from freetalk.data import Dataset, MotionSequence, open_dataset, parse_spec
 from freetalk.tables.papers import DATASETS
-from freetalk.tables.views import DatasetView, ViewOptions
+from freetalk.tables.views import ViewOptions, view_of
 
 Meshings = Mapping[str, Sequence[str]]
 
@@ -122,8 +115,8 @@ class Catalogue:
         counterparts: Mapping[str, OpenSet] = OPEN_SETS,
     ) -> None:
         self._families, self._counterparts = families, counterparts
-        self._datasets: dict[str, MotionDataset] = {}
-        self._corpus: OpenCorpus | None = None
+        self._datasets: dict[str, Dataset] = {}
+        self._corpus: Dataset | None = None
         for spec in specs:
             name, split, path = parse_spec(spec)
             if name:
@@ -133,7 +126,7 @@ class Catalogue:
                 self._datasets[name] = open_dataset(path, name=name, split=split)
                 continue
             corpus = open_dataset(Path(path))
-            if not isinstance(corpus, OpenCorpus):
+            if corpus.drawn() is None:
                 raise ValueError(f"--data {spec}: say which dataset it is, NAME=DIR")
             self._corpus = corpus
 
@@ -142,14 +135,14 @@ class Catalogue:
         """Whether the open corpus stands for some of the datasets."""
         return self._corpus is not None
 
-    def view(self, name: str, options: ViewOptions) -> DatasetView:
+    def view(self, name: str, options: ViewOptions) -> Dataset:
         """A part of a dataset.
 
         Raises:
             ValueError: it is not given, and neither is the open corpus; the corpus is too small.
         """
         if name in self._datasets:
-            return DatasetView(self._datasets[name], name, options)
+            return view_of(self._datasets[name], name, options)
         if self._corpus is None:
             raise ValueError(f"this row needs {name}: give --data {name}=DIR")
         own = self._counterparts[name]
@@ -158,15 +151,15 @@ class Catalogue:
         lacking = sorted(wanted - set(self._corpus.topologies()))
         if lacking:
             raise ValueError(
-                f"{self._corpus.directory} has no meshing {lacking[0]}, which {name}'s counterpart needs: "
+                f"the corpus has no meshing {lacking[0]}, which {name}'s counterpart needs: "
                 "build a larger corpus (freetalk corpus build --size small), or make the table at --size tiny"
             )
-        return DatasetView(self._corpus, name, options, own.holds, meshings)
+        return view_of(self._corpus, name, options, own.holds, meshings)
 
-    def mixture(self, names: Sequence[str], options: ViewOptions) -> MotionDataset:
+    def mixture(self, names: Sequence[str], options: ViewOptions) -> Dataset:
         """Several datasets as one; each keeps its meshes and frame rate."""
         views = {name: self.view(name, options) for name in names}
-        return views[names[0]] if len(names) == 1 else MixedDataset(views)
+        return views[names[0]] if len(names) == 1 else Dataset.mixture(views)
 
     def describe(self) -> dict[str, str]:
         """Where each dataset comes from."""
@@ -177,7 +170,7 @@ class Catalogue:
             elif self._corpus is not None:
                 own = self._counterparts[name]
                 kind = {True: "emotional ", False: "neutral ", None: ""}[own.emotional]
-                made = {key: self._corpus.manifest.get(key) for key in ("size", "seed")}
+                made = self._corpus.describe()
                 sources[name] = (
                     f"open corpus (size {made['size']}, seed {made['seed']}), {kind}"
                     f"{' and '.join(own.sources)} on {own.family} meshings"

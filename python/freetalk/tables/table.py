@@ -14,7 +14,7 @@ from typing import Any
 from tqdm import tqdm
 
 from freetalk._files import content_hash, write_json
-from freetalk.data import MotionSequence
+from freetalk.data import Dataset, MotionSequence
 from freetalk.evaluate import PredictionSettings, score_predictions
 from freetalk.evaluate.dataset_truth import DatasetTruth
 from freetalk.evaluate.metric_specs import spec_of
@@ -32,7 +32,7 @@ from freetalk.tables.scoring import (
 )
 from freetalk.tables.sets import Catalogue
 from freetalk.tables.training import Trained, Training, train
-from freetalk.tables.views import DatasetView, ViewOptions
+from freetalk.tables.views import ViewOptions, faces_of
 from freetalk.train.checkpoint import git_commit
 
 #: Changes when stored rows are no longer comparable.
@@ -123,7 +123,7 @@ class TableRun:
         self._encoder, self._sampler, self._device = encoder, dict(sampler or {}), device
         self._views = {name: catalogue.view(name, table.view) for name in table.tests}
         for name, view in self._views.items():
-            if not view.faces_of("test"):
+            if not faces_of(view, "test"):
                 raise ValueError(f"{name} has no test clip; {catalogue.describe().get(name, name)}")
         if any(row.stm is not None for row in table.rows):
             self._check_masks()
@@ -191,7 +191,7 @@ class TableRun:
         """Says before a training that a metric has no vertices."""
         wanted = {spec_of(name).mask for name in self.table.metrics if name != ROUGHNESS} - {"all"}
         for name, view in self._views.items():
-            _, identity, topology = view.faces_of("test")[0]
+            _, identity, topology = faces_of(view, "test")[0]
             mesh = view.mesh(identity, topology)
             found = {"lips": mesh.lip_mask.any(), "upper": mesh.upper_face_mask.any()}
             lacking = sorted(mask for mask in wanted if not found[mask])
@@ -226,7 +226,7 @@ class TableRun:
         write_json(path, result)
         return result
 
-    def _scores(self, row: Row, trained: Mapping[str, Trained], view: DatasetView) -> ClipScores:
+    def _scores(self, row: Row, trained: Mapping[str, Trained], view: Dataset) -> ClipScores:
         names = self.table.metrics
         if not trained:
             return still_face(view, names, all(one.stm is None for one in self.table.rows))
@@ -241,7 +241,7 @@ class TableRun:
             LandmarksToMesh(trained["stm"].directory, self._device), view, names, landmarks
         )
 
-    def _spoken(self, directory: Path, view: DatasetView) -> dict[str, FloatArray]:
+    def _spoken(self, directory: Path, view: Dataset) -> dict[str, FloatArray]:
         """Landmarks of a view's test clips, made once for all rows that share the weights."""
         key = (str(directory), view.name)
         if key not in self._made:

@@ -13,8 +13,7 @@ from torch import Tensor
 from freetalk.ats import Ats, AtsOptions, GenerateOptions, generate
 from freetalk.data import (
     NUM_LANDMARKS,
-    AtRate,
-    MotionDataset,
+    Dataset,
     MotionSequence,
     interpolate_frames,
     lip_opening,
@@ -57,11 +56,11 @@ class AtsTask:
     """Windows of motion with their speech features; the denoiser restores them from noise."""
 
     def __init__(
-        self, config: TrainingConfig, corpus: MotionDataset, out: Path, device: torch.device
+        self, config: TrainingConfig, corpus: Dataset, out: Path, device: torch.device
     ) -> None:
         assert isinstance(config.task, AtsTaskOptions)
         self.options = config.task
-        self.corpus = AtRate(corpus, frame_rate(config.model, config.task.source_weights, corpus))
+        self.corpus = corpus.at(frame_rate(config.model, config.task.source_weights, corpus))
         self.batch_size = config.loop.batch_size
         self.device = device
         self._out = out
@@ -213,7 +212,7 @@ class AtsTask:
 
     def sample(self) -> Sample:
         """The mean face speaking the first held-out take with sound, and its true motion."""
-        sequence = next((s for s in self.held_out if s.audio is not None), self.held_out[0])
+        sequence = next((s for s in self.held_out if s.has_sound), self.held_out[0])
         copy = self.features.copies(sequence)[0]
         features = torch.from_numpy(self.features.features(copy, 0, _SAMPLE_FRAMES))
         emotion = torch.zeros(len(self.corpus.emotions))

@@ -6,19 +6,17 @@ from pathlib import Path
 from typing import Any
 
 from freetalk._pretrained import PRETRAINED
-from freetalk.data import MotionDataset, MotionSequence
+from freetalk.data import Dataset, MotionSequence
 from freetalk.train.initial import initial_weights
 from freetalk.train.task_options import AtsTaskOptions
 
 
 def audible(sequences: list[MotionSequence]) -> list[MotionSequence]:
     """Sequences with sound, and those whose silence is meant."""
-    return [s for s in sequences if s.audio is not None or s.source == "rest"]
+    return [s for s in sequences if s.has_sound or s.source == "rest"]
 
 
-def frame_rate(
-    model: dict[str, Any], source_weights: dict[str, float], corpus: MotionDataset
-) -> float:
+def frame_rate(model: dict[str, Any], source_weights: dict[str, float], corpus: Dataset) -> float:
     """The model's frame rate: ``model.fps``, else the one that all sequences share.
 
     Raises:

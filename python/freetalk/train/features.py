@@ -15,7 +15,7 @@ import torch
 from tqdm import tqdm
 
 from freetalk._files import replacing, write_json
-from freetalk.data import AtRate, MotionDataset, MotionSequence
+from freetalk.data import Dataset, MotionSequence
 from freetalk.speech import SpeechEncoder, encode_speech
 from freetalk.train.augment import augment_wave, change_speed, change_voice
 
@@ -61,7 +61,7 @@ class FeatureCache:
 
     def __init__(
         self,
-        corpus: MotionDataset | AtRate,
+        corpus: Dataset,
         sequences: Sequence[MotionSequence],
         encoder_dir: Path,
         directory: Path,
@@ -125,12 +125,12 @@ class FeatureCache:
 
 
 def _key(
-    corpus: MotionDataset | AtRate,
+    corpus: Dataset,
     sequences: Sequence[MotionSequence],
     encoder_dir: Path,
     copies: _Copies,
 ) -> str:
-    digest = hashlib.sha256(f"4 {copies} {corpus.fingerprint}".encode())
+    digest = hashlib.sha256(f"5 {copies} {corpus.fingerprint}".encode())
     for name in ("config.json", "model.safetensors"):
         file = encoder_dir / name
         if not file.is_file():
@@ -141,13 +141,12 @@ def _key(
         if name == "model.safetensors":
             digest.update(file.read_bytes())
     for s in sequences:
-        size = s.audio.stat().st_size if s.audio is not None else 0
-        digest.update(f"{s.id} {s.num_frames} {size}".encode())
+        digest.update(f"{s.id} {s.num_frames}".encode())
     return digest.hexdigest()[:16]
 
 
 def _compute(
-    corpus: MotionDataset | AtRate,
+    corpus: Dataset,
     sequences: Sequence[MotionSequence],
     encoder_dir: Path,
     path: Path,
@@ -187,7 +186,7 @@ def _compute(
 
 
 def _renderings(
-    corpus: MotionDataset | AtRate,
+    corpus: Dataset,
     sequence: MotionSequence,
     encoder: SpeechEncoder,
     rng: np.random.Generator,

@@ -9,10 +9,10 @@ from pathlib import Path
 import torch
 
 from freetalk._files import write_json
-from freetalk.data import MotionDataset, open_datasets
+from freetalk.data import Dataset, open_datasets
 from freetalk.train.assemble import assemble
 from freetalk.train.checkpoint import git_commit
-from freetalk.train.checks import check_continues, check_motion
+from freetalk.train.checks import check_continues
 from freetalk.train.config import TrainingConfig, load_config
 from freetalk.train.engine import Engine
 from freetalk.train.initial import start_from
@@ -61,7 +61,7 @@ def run(
 
 def train_dataset(
     config: TrainingConfig,
-    dataset: Callable[[], MotionDataset],
+    dataset: Callable[[], Dataset],
     out: Path,
     command: str,
     data: Sequence[str] = (),
@@ -82,7 +82,6 @@ def train_dataset(
         check_video_support()
     with engine.main_first():
         corpus = dataset()
-        corpus.check()
         check_continues(out / "checkpoints" / config.kind, config, corpus.fingerprint)
         task = make_task(config, corpus, out, engine.device)
     trainer = Trainer(task, config, out, corpus.fingerprint, command, engine)
@@ -92,14 +91,13 @@ def train_dataset(
 
 
 def make_task(
-    config: TrainingConfig, corpus: MotionDataset, out: Path, device: torch.device
+    config: TrainingConfig, corpus: Dataset, out: Path, device: torch.device
 ) -> Task:
     """The task of a configuration's kind, its model on `device` with its initial weights.
 
     Raises:
-        ValueError: the data is not what the task needs, or holds motion that is not finite.
+        ValueError: the data is not what the task needs.
     """
-    check_motion(corpus, out / "cache")
     torch.manual_seed(config.loop.seed)  # initial weights
     task = _new_task(config, corpus, out, device)
     if config.task.init:
@@ -108,7 +106,7 @@ def make_task(
 
 
 def _new_task(
-    config: TrainingConfig, corpus: MotionDataset, out: Path, device: torch.device
+    config: TrainingConfig, corpus: Dataset, out: Path, device: torch.device
 ) -> Task:
     # Each training imports only the rooms it needs.
     if config.kind == "ats":
@@ -125,7 +123,7 @@ def _new_task(
 
 
 def _write_run_record(
-    out: Path, config: TrainingConfig, data: Sequence[str], corpus: MotionDataset
+    out: Path, config: TrainingConfig, data: Sequence[str], corpus: Dataset
 ) -> None:
     """Notes beside the weights what was asked for, and what the data says of itself."""
     record = {

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from freetalk.data import MotionDataset, MotionSequence
+from freetalk.data import Dataset, MotionSequence
 from freetalk.speech import SpeechEncoder, SpeechEncoderOptions, normalize_wave
 from freetalk.train.augment import augment_wave, change_speed
 from freetalk.train.checkpoint import export_model
@@ -68,7 +68,7 @@ class SpeechTask:
     epochs = None  # crops begin anywhere
 
     def __init__(
-        self, config: TrainingConfig, corpus: MotionDataset, out: Path, device: torch.device
+        self, config: TrainingConfig, corpus: Dataset, out: Path, device: torch.device
     ) -> None:
         assert isinstance(config.task, SpeechTaskOptions)
         self.options = config.task
@@ -76,14 +76,14 @@ class SpeechTask:
         self.batch_size = config.loop.batch_size
         self.device = device
         self.recordings = Recordings(self.options.recordings, corpus.fps)
-        heard = [s for s in corpus.sequences("train") if s.audio is not None]
+        heard = [s for s in corpus.sequences("train") if s.has_sound]
         heard += self.recordings.sequences
         shares = present_weights((s.source for s in heard), self.options.source_weights)
         self.sampler = SequenceSampler(heard, shares)
         self.targets = SpeechTargets(corpus, self.sampler.sequences, self.recordings)
         self.sources = sorted({s.source for s in self.sampler.sequences})
         self.held_out = [
-            s for s in corpus.sequences("val") if s.audio is not None and s.source in self.sources
+            s for s in corpus.sequences("val") if s.has_sound and s.source in self.sources
         ]
         if not self.held_out:
             raise ValueError(NO_VALIDATION.format(corpus.name, "sequences with sound"))

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from freetalk.data import MotionDataset, MotionSequence, OpenCorpus, interpolate_frames, lip_opening
+from freetalk.data import Dataset, MotionSequence, interpolate_frames, lip_opening
 from freetalk.train.speech_recordings import RECORDED, Recordings
 
 FloatArray = npt.NDArray[np.float32]
@@ -22,19 +22,18 @@ IGNORED_PHONE = -100
 class SpeechTargets:
     """Targets of a corpus, and of recordings beside it, at any time of a sequence.
 
-    Curves and opening are standardised over the train split of the corpus. Data other than the open corpus knows the
-    opening alone, no phones and no curves. Aligned recordings know no schwa, their
+    Curves and opening are standardised over the train split of the corpus. Data without phones and named expressions
+    knows the opening alone. Aligned recordings know no schwa, their
     dictionary writes AH; with them AX counts as AH.
     """
 
     def __init__(
         self,
-        corpus: MotionDataset,
+        corpus: Dataset,
         sequences: Sequence[MotionSequence],
         recordings: Recordings | None = None,
     ) -> None:
         self.corpus = corpus
-        self._open = corpus if isinstance(corpus, OpenCorpus) else None
         self.recordings = recordings or Recordings([], corpus.fps)
         labels = {label for s in sequences for _, _, label in self._intervals(s)}
         merged = {"AX": "AH"} if self.recordings.sequences else {}
@@ -44,9 +43,12 @@ class SpeechTargets:
         sequences = [s for s in sequences if s.source != RECORDED]
         if not sequences:
             raise ValueError("recordings alone teach no motion: give a source of the corpus too")
-        names = self._open.expressions if self._open else ()
-        mouth = [i for i, n in enumerate(names) if n.lower().startswith(("jaw", "mouth", "tongue"))]
-        weights = np.concatenate([self._weights(s)[:, mouth] for s in sequences])
+        mouth = [
+            i
+            for i, n in enumerate(corpus.expressions)
+            if n.lower().startswith(("jaw", "mouth", "tongue"))
+        ]
+        weights = np.concatenate([corpus.weights(s)[:, mouth] for s in sequences])
         spread = weights.std(axis=0)
         active = spread > 0.01
         self._columns = np.array(mouth, dtype=int)[active]
@@ -83,7 +85,7 @@ class SpeechTargets:
             return np.zeros((count, self.num_curves), np.float32), np.zeros(count, np.float32)
         frames = np.clip(times_s * sequence.fps, 0, sequence.num_frames - 1)
         first, last = int(frames[0]), min(int(frames[-1]) + 2, sequence.num_frames)
-        weights = self._weights(sequence, first, last)[:, self._columns]
+        weights = self.corpus.weights(sequence, first, last)[:, self._columns]
         opening = lip_opening(self.corpus.landmarks(sequence, first, last))
         curves = (interpolate_frames(weights, frames - first) - self._mean) / self._spread
         gap = interpolate_frames(opening[:, None], frames - first)[:, 0]
@@ -93,17 +95,8 @@ class SpeechTargets:
         )
 
     def _intervals(self, sequence: MotionSequence) -> list[tuple[float, float, str]]:
-        heard = self.recordings if sequence.source == RECORDED else self._open
-        return heard.phones(sequence) if heard is not None else []
-
-    def _weights(
-        self, sequence: MotionSequence, first: int = 0, last: int | None = None
-    ) -> FloatArray:
-        """(T, E) expression weights; E = 0 where the data knows none."""
-        if self._open is not None:
-            return self._open.weights(sequence, first, last)
-        last = sequence.num_frames if last is None else last
-        return np.zeros((last - first, 0), np.float32)
+        heard = self.recordings if sequence.source == RECORDED else self.corpus
+        return heard.phones(sequence)
 
 
 def mel_filters(num_mels: int, fft_size: int, sample_rate_hz: int) -> Tensor:

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from freetalk.data import MotionDataset
+from freetalk.data import Dataset
 from freetalk.stm import Stm, StmOptions
 from freetalk.train.checkpoint import export_model
 from freetalk.train.config import TrainingConfig
@@ -42,7 +42,7 @@ class StmTask:
     """Windows of consecutive frames on randomly placed faces of many meshings."""
 
     def __init__(
-        self, config: TrainingConfig, corpus: MotionDataset, out: Path, device: torch.device
+        self, config: TrainingConfig, corpus: Dataset, out: Path, device: torch.device
     ) -> None:
         assert isinstance(config.task, StmTaskOptions)
         self.options = config.task
@@ -148,9 +148,8 @@ class StmTask:
         still = Placement(torch.eye(3, device=self.device), torch.zeros(3, device=self.device), 1.0)
         parts = [self._predict(mesh, part, still) for part in landmarks.split(self.options.frames)]
         face = self.corpus.mesh(mesh.identity, mesh.topology)
-        sound = sequence.audio is not None
         rate = self.corpus.sample_rate_hz
-        audio = self.corpus.audio(sequence) if sound else np.zeros(0, np.float32)
+        audio = self.corpus.audio(sequence) if sequence.has_sound else np.zeros(0, np.float32)
         return Sample(
             vertices=face.vertices,
             faces=face.faces,

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from freetalk.data import MotionDataset
+from freetalk.data import Dataset
 from freetalk.geometry import SurfaceOperators, surface_operators
 from freetalk.train.progress import notice
 from freetalk.train.stm_cuts import FaceCuts
@@ -87,7 +87,7 @@ def random_placement(
 
 
 def prepare_mesh(
-    corpus: MotionDataset,
+    corpus: Dataset,
     identity: int,
     topology: str,
     length_scale: float,
@@ -133,7 +133,7 @@ def prepare_mesh(
 
 
 def prepare_meshes(
-    corpus: MotionDataset,
+    corpus: Dataset,
     split: str,
     count: int,
     max_vertices: int,
@@ -173,15 +173,12 @@ def prepare_meshes(
 
 
 def random_weights(
-    rng: np.random.Generator,
-    frames: int,
-    num_expressions: int,
-    drawable: npt.NDArray[np.intp],
+    rng: np.random.Generator, frames: int, num_expressions: int
 ) -> npt.NDArray[np.float32]:
-    """Sparse combinations of the drawable expressions that change smoothly, (T, E) in [0, 1]."""
+    """Sparse combinations of expressions that change smoothly, (T, E) in [0, 1]."""
     weights = np.zeros((frames, num_expressions), dtype=np.float32)
     count = int(rng.integers(1, 9))
-    active = rng.choice(drawable, size=min(count, len(drawable)), replace=False)
+    active = rng.choice(num_expressions, size=min(count, num_expressions), replace=False)
     times = np.arange(frames) / 30.0
     for column in active:
         level, swing = rng.uniform(0, 0.6), rng.uniform(0, 0.4)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from freetalk.data import MixedDataset, MotionDataset, MotionSequence, OpenCorpus
+from freetalk.data import Dataset, MotionSequence
 from freetalk.train.sequences import SequenceSampler, present_weights
 from freetalk.train.stm_meshes import PreparedMesh, random_weights
 
@@ -49,7 +49,7 @@ class FaceWindows:
 
     def __init__(
         self,
-        corpus: MotionDataset,
+        corpus: Dataset,
         meshes: Sequence[PreparedMesh],
         split: str,
         source_weights: dict[str, float],
@@ -120,24 +120,19 @@ class FaceWindows:
         return self._of_mesh[mesh]
 
     def _find_expressions(self) -> bool:
-        """Looks for faces of the open corpus, which alone can show drawn expressions."""
-        parts = self.corpus.parts if isinstance(self.corpus, MixedDataset) else {"": self.corpus}
-        found = [(name, p) for name, p in parts.items() if isinstance(p, OpenCorpus)]
-        key = (found[0][0] or found[0][1].name, -1, "") if found else ("", -1, "")
-        if key not in self._by_key:
+        """Looks for prepared faces that show any weights of expressions."""
+        found = self.corpus.drawn()
+        if found is None or (found[0], -1, "") not in self._by_key:
             return False
-        self._prefix = f"{found[0][0]}/" if found[0][0] else ""
-        self._expressive, self._faces = found[0][1], self._by_key[key]
-        self._basis, determined = self._expressive.landmark_basis()
-        self._drawable = np.flatnonzero(determined)
+        name, self._expressions, self._basis = found
+        self._faces = self._by_key[name, -1, ""]
         return True
 
     def _drawn_expressions(self, rng: np.random.Generator) -> Window:
-        names = self._expressive.expressions
-        weights = random_weights(rng, self.frames, len(names), self._drawable)
+        weights = random_weights(rng, self.frames, len(self._expressions))
         mesh = self._faces[int(rng.integers(len(self._faces)))]
         face = self._meshes[mesh]
-        moved = self._expressive.displacements_of(face.topology.removeprefix(self._prefix), weights)
+        moved = self.corpus.displacements_of(face.topology, weights)
         landmarks = np.tensordot(weights, self._basis, axes=1).astype(np.float32)
         return Window(mesh, landmarks, _left(face, moved))
 

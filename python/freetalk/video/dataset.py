@@ -1,10 +1,11 @@
-"""A dataset of fitted clips in the layout of a folder of one's own recordings, with what was left out and why."""
+"""A packed dataset of fitted clips, with what was left out and why."""
 
 from __future__ import annotations
 
 import csv
 import hashlib
 import json
+import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 from freetalk._files import replacing, write_json, write_text
 from freetalk.audio import load_audio, save_wav
 from freetalk.corpus.assets import load_face_model
+from freetalk.data import import_dataset
 from freetalk.data.landmarks import lip_opening
 from freetalk.video.fit import CLOSED_M, FittedClip, FittedTalker
 
@@ -76,10 +78,9 @@ def report_of(talker: FittedTalker, clips: Sequence[FittedClip]) -> TalkerReport
 def write_dataset(
     out: Path, talkers: Sequence[FittedTalker], split: str = "auto"
 ) -> dict[str, Any]:
-    """Writes clips as a dataset that training and evaluation open (kind ``folder``).
+    """Packs clips as a dataset that training and evaluation open.
 
-    ``motion/NAME.npy`` (T, 68, 3) m and ``wav/NAME.wav`` are the sequences, ``templates/TALKER.npy`` the faces at
-    rest; ``fit/NAME.npz`` holds the expression weights, the head's pose, each frame's error and whether it is good,
+    Beside what :mod:`freetalk.data.pack` tells, ``fit/NAME.npz`` holds the expression weights, the head's pose, each frame's error and whether it is good,
     and the word times; ``report.json`` says how good the fit is and which clips were left out.
 
     Args:
@@ -100,6 +101,8 @@ def write_dataset(
     rates = sorted({round(c.track.fps, 3) for t in talkers for c in t.clips})
     if len(rates) != 1:
         raise ValueError(f"the clips have the frame rates {rates}; make one dataset of each rate")
+    packed, out = out, out.with_name(f".{out.name}.recordings")
+    shutil.rmtree(out, ignore_errors=True)
     reports: dict[str, TalkerReport] = {}
     left_out: dict[str, str] = {}
     rows: list[dict[str, str]] = []
@@ -130,7 +133,11 @@ def write_dataset(
         "splits": {name: sum(row["split"] == name for row in rows) for name in SPLITS[1:]},
     }
     write_json(out / "report.json", report)
-    write_text(out / "dataset.json", json.dumps({"kind": "folder", "fps": rates[0], "unit": "m"}))
+    write_text(out / "dataset.json", json.dumps({"fps": rates[0], "unit": "m"}))
+    import_dataset("folder", out, packed, name=packed.name)
+    for name in ("fit", "report.json"):
+        (out / name).rename(packed / name)
+    shutil.rmtree(out)
     return report
 
 
