@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-import soundfile as sf
 
 from freetalk.corpus import assets, build_corpus, curves, emotion, plan, rest, running
 from freetalk.corpus.lips import LIMIT_M, Lips
 from freetalk.corpus.phones import BILABIALS, LABIODENTALS
 from freetalk.corpus.sequences import Job
 from freetalk.corpus.stretch import stretched
+from freetalk.data import check_dataset
 from freetalk.tables import main as table
 
 MODEL = assets.load_face_model()
@@ -70,7 +70,7 @@ def test_mean_face_is_a_closed_index_set(extent: str) -> None:
 
 def test_layout_is_consistent(corpus: Path, manifest: dict[str, Any]) -> None:
     landmarks = np.load(corpus / "landmarks.npy")
-    weights = np.load(corpus / "weights.npy")
+    weights = np.load(corpus / "motion.npy")
     identities = np.load(corpus / "identities.npy")
     assert landmarks.dtype == np.float32 and landmarks.shape[1:] == (68, 3)
     assert weights.shape == (len(landmarks), len(manifest["expressions"]))
@@ -82,16 +82,17 @@ def test_layout_is_consistent(corpus: Path, manifest: dict[str, Any]) -> None:
     for sequence in manifest["sequences"]:
         assert sequence["start_frame"] == ends[-1]
         ends.append(sequence["start_frame"] + sequence["num_frames"])
-        assert sequence["emotion"] in manifest["emotions"]
-        if sequence["audio"] is not None:
-            info = sf.info(corpus / sequence["audio"])
-            assert info.samplerate == 16000 and info.channels == 1
-            assert info.frames == round(sequence["num_frames"] * 16000 / 30)
+        assert sequence["emotion"] in emotion.EMOTIONS
+        heard = round(sequence["num_frames"] * 16000 / 30)
+        assert sequence["num_samples"] == (0 if sequence["source"] == "rom" else heard)
     assert ends[-1] == len(landmarks)
     assert {s["source"] for s in manifest["sequences"]} == {
         "synthetic", "emodb", "facegood", "rom", "rest", "running",
     }  # fmt: skip
-    assert not list(corpus.parent.glob(".*partial"))
+    places = [s["first_sample"] for s in manifest["sequences"] if s["source"] == "facegood"]
+    assert len(set(places)) < len(places)  # variants of a take share its sound
+    assert check_dataset(corpus).ok
+    assert not list(corpus.parent.glob(".*"))
 
 
 def spoken(jobs: list[Job], field: str) -> set[str]:
@@ -201,9 +202,9 @@ def test_the_shortest_sounds_are_stretched_too(length: int) -> None:
 
 
 def test_identities_and_topologies_have_their_splits(manifest: dict[str, Any]) -> None:
-    split_of = {entry["index"]: entry["split"] for entry in manifest["identities"]}
+    split_of = [entry["split"] for entry in manifest["identities"]]
     for sequence in manifest["sequences"]:
-        assert split_of[sequence["identity"]] == sequence["split"]
+        assert [split_of[sequence["identity"]]] == sequence["split"]
     assert {t["split"] for t in manifest["topologies"]} == {"train", "val", "test"}
 
 
@@ -219,7 +220,7 @@ def test_lips_close_on_bilabials_and_touch_teeth_on_labiodentals(
             continue
         track = opening[_frames(sequence)]
         times = (np.arange(len(track)) + 0.5) / manifest["fps"]
-        for start, end, label in phones[sequence["audio"]]:
+        for start, end, label in phones[sequence["id"]]:
             inside = track[(times >= start) & (times < end)]
             if len(inside) == 0:
                 continue
@@ -288,8 +289,8 @@ def test_same_seed_gives_the_same_corpus(
     corpus: Path, tmp_path: Path, manifest: dict[str, Any]
 ) -> None:
     again = build_corpus(tmp_path / "again", "tiny", 0, progress=False)
-    names = ["manifest.json", "landmarks.npy", "phones.json", "identities.npy"]
-    names += sorted({s["audio"] for s in manifest["sequences"] if s["audio"]})
+    names = ["manifest.json", "landmarks.npy", "motion.npy", "audio.npy", "phones.json"]
+    names += ["identities.npy", "extras.npz"]
     names += [t["file"] for t in manifest["topologies"]]
     for name in names:
         if name.endswith(".npz"):
@@ -307,7 +308,7 @@ def test_build_refuses_wrong_sizes_and_foreign_folders(tmp_path: Path) -> None:
         build_corpus(tmp_path / "x", "huge")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.txt").write_text("keep me")
-    with pytest.raises(ValueError, match="not a corpus"):
+    with pytest.raises(ValueError, match="is no dataset"):
         build_corpus(tmp_path / "mine", "tiny")
     assert (tmp_path / "mine" / "thesis.txt").read_text() == "keep me"
 

@@ -110,7 +110,9 @@ def import_dataset(
         if not writer.sequences:
             raise LayoutError(f"{release.directory} has no usable take: {_first(writer.excluded)}")
         manifest = {"name": called, **source_of.manifest()}
-        return writer.finish(manifest, np.eye(len(source_of.speakers)), source_of.topologies())
+        return writer.finish(
+            manifest, np.eye(len(source_of.speakers), dtype=np.float32), source_of.topologies()
+        )
 
 
 class Source:

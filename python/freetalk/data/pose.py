@@ -48,7 +48,8 @@ class Pose:
 
     def undo(self, points: FloatArray) -> FloatArray:
         """Points or displacements (..., 3) in the file's coordinates again."""
-        return (points / np.float32(self.scale)) @ self.rotation
+        file = np.asarray(points / np.float32(self.scale), np.float32) @ self.rotation
+        return np.asarray(file, np.float32)
 
     @classmethod
     def of(cls, described: Mapping[str, Any]) -> Pose:
