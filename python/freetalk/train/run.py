@@ -90,9 +90,7 @@ def train_dataset(
     return trainer.run()
 
 
-def make_task(
-    config: TrainingConfig, corpus: Dataset, out: Path, device: torch.device
-) -> Task:
+def make_task(config: TrainingConfig, corpus: Dataset, out: Path, device: torch.device) -> Task:
     """The task of a configuration's kind, its model on `device` with its initial weights.
 
     Raises:
@@ -105,9 +103,7 @@ def make_task(
     return task
 
 
-def _new_task(
-    config: TrainingConfig, corpus: Dataset, out: Path, device: torch.device
-) -> Task:
+def _new_task(config: TrainingConfig, corpus: Dataset, out: Path, device: torch.device) -> Task:
     # Each training imports only the rooms it needs.
     if config.kind == "ats":
         from freetalk.train.ats import AtsTask
