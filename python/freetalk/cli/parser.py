@@ -377,9 +377,7 @@ def _add_view(commands: Any) -> None:
     texture_help = "picture for the mesh's texture coordinates: PNG, JPEG, WebP"
     parser.add_argument("--texture", metavar="FILE", help=texture_help)
     parser.add_argument("--html", metavar="FILE", help="write the page instead of opening it")
-    parser.add_argument(
-        "--port", type=at_least_one, help="of the page; by default any that is free"
-    )
+    parser.add_argument("--port", type=natural, help="of the page; by default any that is free")
     parser.add_argument("--png", metavar="FILE", help="write a picture of the first instead")
     parser.add_argument("--mp4", metavar="FILE", help="write a video of the first instead")
     parser.add_argument("--time", type=float, default=0.0, help="moment of the picture, seconds")
