@@ -17,11 +17,11 @@
 namespace freetalk::nn {
 
 /// The network's input after its first linear layer, frame by frame:
-///   hidden_t = base + offset_t + sum_h softmax(q_h k_th^T) v_th.
+///   hidden_t = base + offset_t + W [softmax(q_1 k_t1^T) v_t1, ..., softmax(q_H k_tH^T) v_tH].
 struct FrameInputs {
   at::Tensor offsets;  // (T, C), undefined for none
   at::Tensor keys;     // (T, H, N, d) already divided by sqrt(d); undefined without attention
-  at::Tensor values;   // (T, H, N, C)
+  at::Tensor values;   // (T, H, N, e)
 };
 
 class FusedDiffusion {
@@ -33,9 +33,11 @@ class FusedDiffusion {
   static bool supports_bfloat16();
 
   /// Copies what it needs; later changes of the network do not reach it.
-  /// @param base (V, C). @param queries (H, V, d), undefined without attention.
+  /// @param base (V, C). @param queries (H, V, d). @param mixing W, (C, H e). Both undefined
+  /// without attention.
   FusedDiffusion(DiffusionNetImpl& net, const geometry::SurfaceOperators& operators,
-                 const at::Tensor& base, const at::Tensor& queries, bool bfloat16);
+                 const at::Tensor& base, const at::Tensor& queries, const at::Tensor& mixing,
+                 bool bfloat16);
   ~FusedDiffusion();
   FusedDiffusion(FusedDiffusion&&) noexcept;
   FusedDiffusion& operator=(FusedDiffusion&&) noexcept;

@@ -35,7 +35,7 @@ class FusedEngine final : public FusedDiffusion::Engine {
  public:
   FusedEngine(const Kernels<T>& kernels, DiffusionNetImpl& net,
               const geometry::SurfaceOperators& operators, const at::Tensor& base,
-              const at::Tensor& queries)
+              const at::Tensor& queries, const at::Tensor& mixing)
       : kernels_(kernels),
         mesh_(operators),
         vertices_(operators.num_vertices()),
@@ -44,7 +44,8 @@ class FusedEngine final : public FusedDiffusion::Engine {
         outputs_(net.options().out_channels),
         columns_(round_up(width_, kernels.panel)),
         modes_(round_up(operators.k_eig(), kEigenBlock)) {
-    prepare_mesh(operators, base, queries);
+    prepare_mesh(operators, base);
+    if (queries.defined()) prepare_attention(queries, mixing);
     for (DiffusionNetBlock block : net.blocks()) prepare_block(*block, operators.evals);
     last_weight_ = padded(plain(net.last_lin->weight), outputs_, columns_);
     last_bias_ = plain(net.last_lin->bias);
@@ -88,7 +89,7 @@ class FusedEngine final : public FusedDiffusion::Engine {
   /// A frame's state and a tile's.
   struct Work {
     std::vector<float> x, sums, spectrum, scores, fields, centres, of_project;
-    std::vector<T> packed[3], mixed, rows, z, element, first, second, grouped, weights;
+    std::vector<T> packed[3], mixed, rows, z, element, first, second, grouped, weights, attended;
     std::vector<std::vector<T>> keys, values;  // of each head, packed
 
     explicit Work(const FusedEngine& e)
@@ -104,7 +105,8 @@ class FusedEngine final : public FusedDiffusion::Engine {
           element(size(kTile * e.columns_)),
           first(element.size()),
           second(element.size()),
-          grouped(element.size()) {
+          grouped(element.size()),
+          attended(size(kTile * e.attended_row_)) {
       for (std::vector<T>& part : packed) part.resize(sums.size());
     }
 
@@ -114,7 +116,7 @@ class FusedEngine final : public FusedDiffusion::Engine {
       scores.assign(size(kTile * keys_padded), 0.0F);
       weights.assign(scores.size(), T{});
       keys.assign(size(e.heads_), std::vector<T>(size(keys_padded * e.head_columns_)));
-      values.assign(keys.size(), std::vector<T>(size(keys_padded * e.columns_)));
+      values.assign(keys.size(), std::vector<T>(size(keys_padded * e.value_columns_)));
     }
     static size_t size(int64_t count) { return static_cast<size_t>(count); }
   };
@@ -135,8 +137,7 @@ class FusedEngine final : public FusedDiffusion::Engine {
     return result;
   }
 
-  void prepare_mesh(const geometry::SurfaceOperators& operators, const at::Tensor& base,
-                    const at::Tensor& queries) {
+  void prepare_mesh(const geometry::SurfaceOperators& operators, const at::Tensor& base) {
     const at::Tensor evecs = plain(operators.evecs).index_select(0, mesh_.order);
     basis_ = rows_of(padded(evecs, vertices_, modes_));
     if constexpr (kCentred) centre(evecs);
@@ -145,9 +146,20 @@ class FusedEngine final : public FusedDiffusion::Engine {
     weighted_.resize(static_cast<size_t>(weighted.numel()));
     group_exact(weighted);
     base_ = padded(plain(base).index_select(0, mesh_.order), vertices_, columns_);
-    if (!queries.defined()) return;
+  }
+
+  /// Heads lie side by side in a row of what was attended to. A head's product ends with zeros up
+  /// to a panel, which the next head overwrites.
+  void prepare_attention(const at::Tensor& queries, const at::Tensor& mixing) {
+    const at::Tensor weight = plain(mixing).t();
     heads_ = queries.size(0);
     head_columns_ = round_up(queries.size(2), kernels_.group);
+    head_width_ = weight.size(0) / heads_;
+    value_columns_ = round_up(head_width_, kernels_.panel);
+    attended_row_ = round_up((heads_ - 1) * head_width_ + value_columns_, kernels_.group);
+    mixing_.resize(static_cast<size_t>(attended_columns() * columns_));
+    const at::Tensor whole = padded(weight, attended_columns(), columns_);
+    kernels_.pack(whole.const_data_ptr<float>(), attended_columns(), columns_, mixing_.data());
     for (int64_t head = 0; head < heads_; ++head) {
       const at::Tensor ordered = plain(queries[head]).index_select(0, mesh_.order);
       queries_.push_back(rows_of(padded(ordered, vertices_, head_columns_)));
@@ -249,8 +261,8 @@ class FusedEngine final : public FusedDiffusion::Engine {
       const at::Tensor keys = padded(inputs.keys[frame][head].t(), head_columns_, columns);
       kernels_.pack(keys.const_data_ptr<float>(), head_columns_, columns,
                     work.keys[static_cast<size_t>(head)].data());
-      const at::Tensor values = padded(inputs.values[frame][head], count, columns_);
-      kernels_.pack(values.const_data_ptr<float>(), count, columns_,
+      const at::Tensor values = padded(inputs.values[frame][head], count, value_columns_);
+      kernels_.pack(values.const_data_ptr<float>(), count, value_columns_,
                     work.values[static_cast<size_t>(head)].data());
     }
   }
@@ -275,10 +287,12 @@ class FusedEngine final : public FusedDiffusion::Engine {
       kernels_.softmax(work.scores.data(), rows, stride, count, work.weights.data());
       const Segment<T> of_values{work.weights.data(), stride, work.values[h].data(),
                                  round_up(count, kernels_.group)};
-      kernels_.product(&of_values, 1, rows, columns_, epilogue, x, nullptr, columns_);
-      epilogue = Epilogue{};
-      epilogue.residual = x;
+      kernels_.product(&of_values, 1, rows, value_columns_, Epilogue{}, nullptr,
+                       work.attended.data() + head * head_width_, attended_row_);
     }
+    const Segment<T> of_heads{work.attended.data(), attended_row_, mixing_.data(),
+                              attended_columns()};
+    kernels_.product(&of_heads, 1, rows, columns_, epilogue, x, nullptr, columns_);
   }
 
   /// sums += Phi^T M x over a tile.
@@ -380,13 +394,15 @@ class FusedEngine final : public FusedDiffusion::Engine {
     multiply({{work.second.data(), n, block.third.data(), n}}, {bias(2), x, false}, x, nullptr);
   }
 
+  int64_t attended_columns() const { return round_up(heads_ * head_width_, kernels_.group); }
   /// Floats of a vertex's fields.
   int64_t field_row() const { return 3 * kernels_.panel; }
 
   const Kernels<T>& kernels_;
   MeshRows mesh_;
   int64_t vertices_, tiles_, width_, outputs_, columns_, modes_, heads_ = 0, head_columns_ = 0;
-  std::vector<T> basis_, centred_, means_[2], weighted_;
+  int64_t head_width_ = 0, value_columns_ = 0, attended_row_ = 0;
+  std::vector<T> basis_, centred_, means_[2], weighted_, mixing_;
   std::vector<std::vector<T>> queries_;
   std::vector<Block> blocks_;
   at::Tensor base_, last_weight_, last_bias_;

@@ -16,13 +16,14 @@ using Points = geometry::GreedyInterpolation::Points;
 
 constexpr int64_t kFirst = 16;           // frames decoded before the first check
 constexpr int64_t kBatch = 8;            // frames of a check, at least
+constexpr double kSpread = 0.375;        // share of them that is not of the most doubtful
+constexpr int64_t kRounded = 2;          // frames decoded exactly to see what bfloat16 does
 constexpr int64_t kChunk = 64;           // frames of a call to the sink
 constexpr int64_t kMotionSamples = 512;  // vertices of which the mean motion is taken
 constexpr double kLength = 2.0;          // of the kernel, in spreads of the clip
-// Frames that are not checked may err more for their doubt than those that are. In the mean by a
-// fifth, of the interpolation before the batch, whose frames were its test: doubt falls faster
-// with every frame than the error does. At the worst vertex by more.
-constexpr double kMeanSafety = 1.2, kMaxSafety = 1.8;
+// Frames that are not checked may err more for their doubt than those that are.
+constexpr double kMeanSafety = 1.2, kMaxSafety = 1.4;
+constexpr double kRoundingShare = 0.6;  // of a tolerance, at most
 
 /// Landmark motion in mm about its mean.
 Points points_of(const at::Tensor& landmarks) {
@@ -43,43 +44,77 @@ geometry::PoseKernel kernel_of(const Points& points) {
   return kernel;
 }
 
+/// Mean and largest error of a vertex, metres (or metres for each unit of doubt).
+struct Errors {
+  double mean = 0.0, largest = 0.0;
+};
+
+/// Of frames' displacements, (n, V, 3) each.
+std::vector<Errors> errors_of(const at::Tensor& found, const at::Tensor& exact) {
+  const at::Tensor error = (found - exact).norm(2, -1);
+  const at::Tensor means = error.mean(1).cpu(), largest = error.amax(1).cpu();
+  std::vector<Errors> result;
+  for (int64_t t = 0; t < means.size(0); ++t) {
+    result.push_back({means[t].item<float>(), largest[t].item<float>()});
+  }
+  return result;
+}
+
 /// A clip, the frames decoded so far and what they say about the others.
 class Clip {
  public:
-  Clip(const FrameDecoder& decoder, const at::Tensor& landmarks)
-      : decoder_(decoder), landmarks_(landmarks), interpolation_(points(landmarks)) {
-    grow(kFirst);
-    fields_ = decode(interpolation_.nodes(), 0);
+  Clip(const FrameDecoder& decoder, const at::Tensor& landmarks, const AdaptiveOptions& options)
+      : decoder_(&decoder.fastest()), landmarks_(landmarks), interpolation_(points(landmarks)) {
+    for (int64_t n = 0; n < kFirst; ++n) interpolation_.add(interpolation_.most_doubtful());
+    fields_ = decode(0);
+    if (decoder_ == &decoder) return;
+    const at::Tensor exact = decoder.decode(frames(0).slice(0, 0, std::min(kRounded, decoded())));
+    for (const Errors& error : errors_of(fields_.slice(0, 0, exact.size(0)), exact)) {
+      rounding_.mean += error.mean / static_cast<double>(exact.size(0));
+      rounding_.largest = std::max(rounding_.largest, error.largest);
+    }
+    if (rounding_.mean <= kRoundingShare * options.tolerance_mean * mean_motion() &&
+        1e3 * rounding_.largest <= kRoundingShare * options.tolerance_mm) {
+      return;
+    }
+    decoder_ = &decoder;
+    rounding_ = {};
+    fields_ = decode(0);
   }
 
   int64_t decoded() const { return fields_.size(0); }
 
-  /// Decodes the most doubtful frames and compares them with what was interpolated there.
-  /// @returns false where no frame is left to doubt.
+  /// Decodes the most doubtful frames and some others and compares them with what was interpolated
+  /// there. @returns false where no frame is left to doubt.
   bool check() {
-    const int64_t before = decoded();
+    const int64_t before = decoded(), count = std::max<int64_t>(kBatch, before / 8);
     const Eigen::VectorXd doubt = interpolation_.variance().cwiseSqrt();
-    doubt_ = doubt.mean();
-    grow(std::max<int64_t>(kBatch, before / 8));
-    const std::vector<int64_t>& nodes = interpolation_.nodes();
-    if (static_cast<int64_t>(nodes.size()) == before) return false;
-    const std::vector<int64_t> checked(nodes.begin() + before, nodes.end());
-    const at::Tensor exact = decode(nodes, before);
-    const at::Tensor error =
-        (combine_fields(interpolation_.weights(checked, before), fields_) - exact).norm(2, -1);
-    const at::Tensor means = error.mean(1).cpu(), largest = error.amax(1).cpu();
-    double errors = 0.0, doubts = 0.0;
-    double ratio = 0.0;
-    for (size_t k = 0; k < checked.size(); ++k) {
-      const auto index = static_cast<int64_t>(k);
-      errors += means[index].item<float>();
-      doubts += doubt[checked[k]];
-      ratio =
-          std::max(ratio, static_cast<double>(largest[index].item<float>()) / doubt[checked[k]]);
+    for (const int64_t frame :
+         spread_over(doubt, std::lround(kSpread * static_cast<double>(count))))
+      interpolation_.add(frame);
+    const int64_t num_spread = num_nodes() - before;
+    while (num_nodes() - before < count && interpolation_.add(interpolation_.most_doubtful())) {
     }
-    largest_per_doubt_ = std::max(ratio, last_ratio_);  // of two checks: one holds few frames
-    last_ratio_ = ratio;
-    mean_per_doubt_ = errors / doubts;
+    if (num_nodes() == before) return false;
+    const std::vector<int64_t>& nodes = interpolation_.nodes();
+    const std::vector<int64_t> checked(nodes.begin() + before, nodes.end());
+    const at::Tensor exact = decode(before);
+    const auto errors =
+        errors_of(combine_fields(interpolation_.weights(checked, before), fields_), exact);
+    double errors_sum[2]{}, doubts[2]{};  // of frames spread over all doubts, of the most doubtful
+    Errors found;
+    for (size_t k = 0; k < checked.size(); ++k) {
+      const size_t part = static_cast<int64_t>(k) < num_spread ? 0 : 1;
+      errors_sum[part] += errors[k].mean;
+      doubts[part] += doubt[checked[k]];
+      if (part == 1) found.largest = std::max(found.largest, errors[k].largest / doubt[checked[k]]);
+    }
+    const auto ratio = [&](size_t part) {
+      return doubts[part] > 0 ? errors_sum[part] / doubts[part] : 0.0;
+    };
+    found.mean = std::max(ratio(0), (ratio(0) + ratio(1)) / 2);
+    for_doubt_ = {std::max(found.mean, last_.mean), std::max(found.largest, last_.largest)};
+    last_ = found;
     fields_ = at::cat({fields_, exact});
     return true;
   }
@@ -87,15 +122,11 @@ class Clip {
   /// The errors to expect of the frames that are not decoded.
   void expect(AdaptiveReport& report) const {
     const Eigen::VectorXd doubt = interpolation_.variance().cwiseSqrt();
-    const int64_t step = std::max<int64_t>(1, fields_.size(1) / kMotionSamples);
-    const at::Tensor sampled = fields_.slice(1, 0, std::nullopt, step).contiguous();
-    const double motion = combine_fields(interpolation_.weights(decoded()), sampled)
-                              .norm(2, -1)
-                              .mean()
-                              .item<double>();
     report.decoded = decoded();
-    report.mean_error = kMeanSafety * mean_per_doubt_ * doubt_ / std::max(motion, 1e-9);
-    report.max_error_mm = kMaxSafety * 1e3 * largest_per_doubt_ * doubt.maxCoeff();
+    report.mean_error =
+        std::hypot(kMeanSafety * for_doubt_.mean * doubt.mean(), rounding_.mean) / mean_motion();
+    report.max_error_mm =
+        1e3 * std::hypot(kMaxSafety * for_doubt_.largest * doubt.maxCoeff(), rounding_.largest);
   }
 
   void emit(const std::function<void(int64_t, const at::Tensor&)>& sink) const {
@@ -118,20 +149,45 @@ class Clip {
     return {std::move(points), kernel};
   }
 
-  void grow(int64_t count) {
-    while (count-- > 0 && interpolation_.add(interpolation_.most_doubtful())) {
+  int64_t num_nodes() const { return static_cast<int64_t>(interpolation_.nodes().size()); }
+
+  /// As many frames of no node, evenly over their order of doubt.
+  static std::vector<int64_t> spread_over(const Eigen::VectorXd& doubt, int64_t count) {
+    std::vector<int64_t> open, result;
+    for (int64_t t = 0; t < doubt.size(); ++t) {
+      if (doubt[t] > 0) open.push_back(t);
     }
+    std::stable_sort(open.begin(), open.end(),
+                     [&doubt](int64_t a, int64_t b) { return doubt[a] > doubt[b]; });
+    count = std::min(count, static_cast<int64_t>(open.size()));
+    for (int64_t k = 0; k < count; ++k) {
+      result.push_back(
+          open[open.size() * static_cast<size_t>(2 * k + 1) / static_cast<size_t>(2 * count)]);
+    }
+    return result;
   }
 
-  at::Tensor decode(const std::vector<int64_t>& nodes, int64_t from) const {
-    const at::Tensor index = at::tensor(nodes).slice(0, from).to(landmarks_.device());
-    return decoder_.decode(landmarks_.index_select(0, index));
+  /// Of all frames, metres, as interpolated now.
+  double mean_motion() const {
+    const int64_t step = std::max<int64_t>(1, fields_.size(1) / kMotionSamples);
+    const at::Tensor sampled = fields_.slice(1, 0, std::nullopt, step).contiguous();
+    const at::Tensor motion =
+        combine_fields(interpolation_.weights(decoded()), sampled).norm(2, -1);
+    return std::max(motion.mean().item<double>(), 1e-9);
   }
 
-  const FrameDecoder& decoder_;
+  /// The landmarks of the nodes from this one on.
+  at::Tensor frames(int64_t from) const {
+    return landmarks_.index_select(
+        0, at::tensor(interpolation_.nodes()).slice(0, from).to(landmarks_.device()));
+  }
+
+  at::Tensor decode(int64_t from) const { return decoder_->decode(frames(from)); }
+
+  const FrameDecoder* decoder_;
   at::Tensor landmarks_, fields_;  // (T, 68, 3), (n, V, 3)
   geometry::GreedyInterpolation interpolation_;
-  double mean_per_doubt_ = 0.0, largest_per_doubt_ = 0.0, last_ratio_ = 0.0, doubt_ = 0.0;
+  Errors rounding_, last_, for_doubt_;  // of the decoder; for each unit of doubt
 };
 
 }  // namespace
@@ -164,8 +220,8 @@ void decode_adaptively(const FrameDecoder& decoder, const at::Tensor& landmarks,
     return;
   }
   const at::NoGradGuard no_grad;
-  Clip clip(decoder, landmarks);
-  const auto share = [&] {  // Clips of speech end between 50 and 100 decoded frames.
+  Clip clip(decoder, landmarks, options);
+  const auto share = [&] {  // Clips of speech end between 40 and 100 decoded frames.
     const auto decoded = static_cast<double>(clip.decoded());
     return 0.9 * decoded / (decoded + 30.0);
   };

@@ -6,6 +6,7 @@
 #include <torch/torch.h>
 
 #include <algorithm>
+#include <mutex>
 #include <optional>
 
 #include "core/autocast.h"
@@ -73,20 +74,43 @@ void DecodeOptions::check() const {
   FREETALK_CHECK(memory_bytes > 0, "STM: memory_bytes must be positive, found ", memory_bytes);
 }
 
+struct FrameDecoder::Fastest {
+  std::once_flag once;
+  std::unique_ptr<const FrameDecoder> decoder;
+};
+
 FrameDecoder::FrameDecoder(std::shared_ptr<StmImpl> model, const MeshFeatures& mesh,
                            const geometry::SurfaceOperators& operators,
                            const DecodeOptions& options)
-    : model_(std::move(model)), mesh_(mesh), operators_(operators), options_(options) {
+    : model_(std::move(model)),
+      mesh_(mesh),
+      operators_(operators),
+      options_(options),
+      fastest_(std::make_unique<Fastest>()) {
   options.check();
   const torch::NoGradGuard no_grad;
   auto* net = dynamic_cast<nn::DiffusionNetImpl*>(model_->decoder().get());
   if (net != nullptr && nn::FusedDiffusion::supports(*net, operators) && mesh.hidden.is_cpu()) {
-    fused_ = std::make_unique<nn::FusedDiffusion>(*net, operators, mesh.hidden, mesh.queries,
-                                                  options.precision == "bfloat16");
+    const int64_t attended = mesh.queries.defined() ? model_->options().attention_dim : 0;
+    const at::Tensor& weight = net->first_lin->weight;
+    fused_ = std::make_unique<nn::FusedDiffusion>(
+        *net, operators, mesh.hidden, mesh.queries,
+        weight.narrow(1, weight.size(1) - attended, attended), options.precision == "bfloat16");
   }
 }
 
 FrameDecoder::~FrameDecoder() = default;
+
+const FrameDecoder& FrameDecoder::fastest() const {
+  if (!fused_ || options_.precision == "bfloat16" || !nn::FusedDiffusion::supports_bfloat16()) {
+    return *this;
+  }
+  std::call_once(fastest_->once, [this] {
+    fastest_->decoder = std::make_unique<const FrameDecoder>(
+        model_, mesh_, operators_, DecodeOptions{"bfloat16", options_.memory_bytes});
+  });
+  return *fastest_->decoder;
+}
 
 FrameDecoder::Plan FrameDecoder::plan() const {
   const int64_t vertices = operators_.num_vertices();
@@ -98,9 +122,7 @@ FrameDecoder::Plan FrameDecoder::plan() const {
   const int64_t in_work =
       std::clamp<int64_t>(options_.memory_bytes / of_work, 1, core::num_threads());
   const auto& o = model_->options();
-  const int64_t of_inputs =
-      3 * 68 *
-      (o.gcn_hidden + o.index_code_dim + 2 * o.attention_dim + o.attention_heads * o.decoder_width);
+  const int64_t of_inputs = 3 * 68 * (o.gcn_hidden + o.index_code_dim + 3 * o.attention_dim);
   const int64_t of_frame = 4 * (2 * 3 * vertices + of_inputs);
   const int64_t left = options_.memory_bytes - in_work * of_work;
   return {std::clamp<int64_t>(left / of_frame / in_work * in_work, in_work, kMaxChunk), in_work};

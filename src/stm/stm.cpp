@@ -228,9 +228,7 @@ FrameInputs StmImpl::frame_inputs(const at::Tensor& landmarks) {
       return x.view({frames, kNumLandmarks, heads, size}).transpose(1, 2);
     };
     inputs.keys = split_heads(key_proj_(features)) / std::sqrt(static_cast<double>(size));
-    // W_c sum_h p_h v_h = sum_h p_h (v_h W_c,h^T): (T, heads, 68, d_head) (heads, d_head, width)
-    const at::Tensor by_head = parts[2].reshape({-1, heads, size}).permute({1, 2, 0});
-    inputs.values = split_heads(value_proj_(features)).matmul(by_head);
+    inputs.values = split_heads(value_proj_(features));
   }
   return inputs;
 }

@@ -35,9 +35,10 @@ struct AdaptiveReport {
   double max_error_mm = 0.0;  // largest of a vertex
 };
 
-/// The frames' displacements, within the tolerances of what FrameDecoder::decode gives: decoded
-/// frames bit by bit the same, and no bit depends on the number of threads or the memory. Memory:
-/// the decoded frames beside the decoder's own; their number stops growing with the clip.
+/// The frames' displacements, within the tolerances of what FrameDecoder::decode gives. Frames are
+/// decoded in bfloat16 where that is faster and its rounding, measured on two of them, leaves room
+/// for the interpolation. No bit depends on the number of threads or the memory. Memory: the
+/// decoded frames beside the decoder's own; their number stops growing with the clip.
 /// @param landmarks (T, 68, 3) displacements, metres.
 /// @param sink called with (first frame, (t, V, 3) float32 displacements in metres) in order.
 /// @param report filled if given.

@@ -19,7 +19,7 @@ constexpr int64_t kFrames = 5, kWidth = 24, kKeys = 11;
 struct Scene {
   geometry::SurfaceOperators operators;
   DiffusionNet net{nullptr};
-  at::Tensor base, queries;
+  at::Tensor base, queries, mixing;
   FrameInputs inputs;
 
   Scene() {
@@ -44,18 +44,22 @@ struct Scene {
     queries = torch::randn({2, vertices, 8});
     inputs.offsets = torch::randn({kFrames, kWidth});
     inputs.keys = 0.3 * torch::randn({kFrames, 2, kKeys, 8});
-    inputs.values = torch::randn({kFrames, 2, kKeys, kWidth});
+    inputs.values = torch::randn({kFrames, 2, kKeys, 6});
+    mixing = torch::randn({kWidth, 12});
   }
 
   at::Tensor expected() {
     const torch::NoGradGuard no_grad;
     const at::Tensor shares = at::softmax(at::matmul(queries, inputs.keys.transpose(-1, -2)), -1);
-    const at::Tensor attended = at::matmul(shares, inputs.values).sum(1);  // (T, V, C)
+    const at::Tensor attended = at::matmul(shares, inputs.values)  // (T, heads, V, 6)
+                                    .transpose(1, 2)
+                                    .flatten(2)
+                                    .matmul(mixing.t());
     return net->forward_hidden(base + inputs.offsets.unsqueeze(1) + attended, operators);
   }
 
   at::Tensor fused(bool bfloat16, int64_t in_work = 8) {
-    const FusedDiffusion decoder(*net, operators, base, queries, bfloat16);
+    const FusedDiffusion decoder(*net, operators, base, queries, mixing, bfloat16);
     return decoder.run(inputs, kFrames, in_work);
   }
 };
@@ -95,7 +99,8 @@ TEST(FusedDiffusion, HasTheSameBitsForAnyNumberOfThreadsAndFramesInWork) {
 
 TEST(FusedDiffusion, WorkSpacesOfARunServeAnotherWithOtherInputs) {
   Scene scene;
-  const FusedDiffusion decoder(*scene.net, scene.operators, scene.base, scene.queries, false);
+  const FusedDiffusion decoder(*scene.net, scene.operators, scene.base, scene.queries, scene.mixing,
+                               false);
   const at::Tensor first = decoder.run(scene.inputs, kFrames, 8);
   FrameInputs fewer = scene.inputs;
   fewer.keys = scene.inputs.keys.narrow(2, 0, 3).contiguous();

@@ -124,7 +124,16 @@ TEST_F(AdaptiveDecoder, AFaceAtRestIsDecodedOnce) {
   const at::Tensor result = decode_adaptively(exact, at::zeros({100, 68, 3}), {}, &report);
   EXPECT_EQ(report.decoded, 1);
   EXPECT_TRUE(at::equal(result[0], result[99]));
-  EXPECT_TRUE(at::equal(result[0], exact.decode(at::zeros({1, 68, 3}))[0]));
+  EXPECT_TRUE(at::equal(result[0], exact.fastest().decode(at::zeros({1, 68, 3}))[0]));
+}
+
+TEST_F(AdaptiveDecoder, ToleranceBelowTheRoundingDecodesExactly) {
+  const FrameDecoder exact = decoder();
+  const at::Tensor landmarks = speech_like(60);
+  AdaptiveReport report;
+  EXPECT_TRUE(at::equal(decode_adaptively(exact, landmarks, {1e-4, 1e-6}, &report),
+                        exact.decode(landmarks)));
+  EXPECT_EQ(report.decoded, 60);
 }
 
 TEST_F(AdaptiveDecoder, RefusesWhatDoesNotFit) {
