@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,13 +16,14 @@ from mini_corpus import write_mini_corpus
 
 from freetalk.ats import Ats, AtsOptions, GenerateOptions, generate, generate_batch
 from freetalk.cli import main
-from freetalk.data import Dataset, open_dataset
+from freetalk.data import Dataset, MotionSequence, open_dataset
 from freetalk.data.pose import METRES
 from freetalk.evaluate import NearestCentroid, closures, correlation, log_energy
 from freetalk.evaluate.dataset_truth import DatasetTruth
 from freetalk.evaluate.motion_files import read_motion
 from freetalk.evaluate.predict import PredictOptions, predict
 from freetalk.evaluate.pretrained import LandmarksToMesh, SpeechToMotion
+from freetalk.evaluate.recorded import evaluate_recorded
 from freetalk.evaluate.weights import measure
 from freetalk.train import run
 
@@ -227,3 +229,29 @@ def test_clips_that_are_sampled_together_move_as_alone() -> None:
             torch.testing.assert_close(
                 moved, alone, rtol=1e-4, atol=1e-5 * float(alone.abs().max())
             )
+
+
+class _Repeats:
+    """Performs what was recorded, `late` frames late and `gain` times as large."""
+
+    def __init__(self, late: int = 0, gain: float = 1.0) -> None:
+        self.late, self.gain = late, gain
+
+    def perform(
+        self, dataset: Dataset, clips: list[MotionSequence], seeds: list[list[int]]
+    ) -> Iterator[tuple[MotionSequence, np.ndarray]]:
+        for clip, own in zip(clips, seeds, strict=True):
+            motion = self.gain * np.roll(dataset.landmarks(clip), self.late, axis=0)
+            yield clip, np.stack([motion] * len(own))
+
+
+def test_recorded_motion_scores_best_and_lateness_and_size_are_told(corpus: Path) -> None:
+    dataset = open_dataset(corpus)
+    same = evaluate_recorded(dataset, _Repeats())  # type: ignore[arg-type]
+    assert same["opening"]["correlation"] > 0.999 and same["width"]["clips"] > 0.999
+    assert same["opening"]["lag"] == 0 and same["opening"]["spread"] == pytest.approx(1.0)
+    assert same["closures"] == 0 or same["closed"] == 1.0
+    late = evaluate_recorded(dataset, _Repeats(late=2, gain=0.5))  # type: ignore[arg-type]
+    assert late["opening"]["lag"] == 2 and late["opening"]["spread"] == pytest.approx(0.5)
+    with pytest.raises(ValueError, match="no sequence with sound"):
+        evaluate_recorded(dataset, _Repeats(), "nothing")  # type: ignore[arg-type]

@@ -30,7 +30,7 @@ def evaluate_recorded(
 
     Args:
         dataset: recordings with sound and landmarks.
-        model: what is measured; it performs every clip as neutral.
+        model: what is measured; it performs every clip under the clip's emotion.
         split: of the dataset.
         samples: performances of each clip; every figure is their mean.
 
@@ -38,22 +38,22 @@ def evaluate_recorded(
         Of ``opening`` and ``width``: ``correlation`` over the frames of all clips, ``clips`` the mean of the
         clips' own, ``lag`` in frames at which it is largest (positive: the lips are late), ``spread`` the ratio of
         generated to recorded standard deviation; ``closures``, how many short closings of the lips were recorded,
-        and ``closed``, the share of them that the generated lips close at, one frame early or late.
+        and ``closed``, the share of them that the generated lips close at, one frame early or late, ``None`` of none.
 
     Raises:
         ValueError: the split has no sequence with sound.
     """
-    source = dataset.at(model.fps)
-    chosen = [s for s in source.sequences(split) if s.has_sound]
+    chosen = [s for s in dataset.sequences(split) if s.has_sound]
     if not chosen:
         raise ValueError(f"{dataset.name} has no sequence with sound in the split {split!r}")
     pairs: list[tuple[FloatArray, FloatArray]] = []
-    for sequence in tqdm(chosen, desc=f"{dataset.name} {split}", leave=False):
-        features, recorded = model.features(source.audio(sequence)), source.landmarks(sequence)
-        for seed in range(samples):
-            motion = model.motion(features, seed=seed)
-            length = min(len(motion), len(recorded))
-            pairs.append((motion[:length], recorded[:length]))
+    closed: list[bool] = []
+    spoken = model.perform(dataset, chosen, [list(range(samples))] * len(chosen))
+    for sequence, motions in tqdm(spoken, desc=dataset.name, total=len(chosen), leave=False):
+        recorded = dataset.landmarks(sequence)[: motions.shape[1]]
+        for motion in motions:
+            pairs.append((motion[: len(recorded)], recorded))
+            closed += _closures(*pairs[-1], sequence.fps)
     scores: dict[str, Any] = {"clips": len(chosen), "frames": sum(len(p[0]) for p in pairs)}
     for name, measure in _MOUTH.items():
         series = [(measure(made), measure(true)) for made, true in pairs]
@@ -65,9 +65,8 @@ def evaluate_recorded(
             "lag": max(by_lag, key=lambda lag: by_lag[lag]),
             "spread": float(joined[0].std() / max(joined[1].std(), 1e-9)),
         }
-    met = [hit for made, true in pairs for hit in _closures(made, true, model.fps)]
-    scores["closures"] = len(met)
-    scores["closed"] = float(np.mean(met)) if met else float("nan")
+    scores["closures"] = len(closed)
+    scores["closed"] = float(np.mean(closed)) if closed else None
     return scores
 
 
