@@ -80,8 +80,8 @@ def write_dataset(
 ) -> dict[str, Any]:
     """Packs clips as a dataset that training and evaluation open.
 
-    Beside what :mod:`freetalk.data.pack` tells, ``fit/NAME.npz`` holds the expression weights, the head's pose, each frame's error and whether it is good,
-    and the word times; ``report.json`` says how good the fit is and which clips were left out.
+    Beside what :mod:`freetalk.data.pack` tells, ``fit/NAME.npz`` holds the expression weights, the head's pose,
+    each frame's error and whether it is good, and the word times; ``report.json`` says how good the fit is and which clips were left out.
 
     Args:
         out: folder, new or empty.
