@@ -18,8 +18,9 @@ from mini_corpus import write_mini_corpus
 
 from freetalk.cli import main
 from freetalk.data import open_dataset
+from freetalk.data.templates import speaker_of
 from freetalk.evaluate.masks import KNOWN_MASKS, describe_masks
-from freetalk.evaluate.motion_files import NameMatcher, motion_paths, read_motion, speaker_of
+from freetalk.evaluate.motion_files import NameMatcher, motion_paths, read_motion
 from freetalk.evaluate.writers import number
 
 VERTICES, FPS = 30, 25.0

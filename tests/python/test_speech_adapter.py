@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 import torch
 
 from freetalk import speech
-from freetalk.speech import EncodeOptions, FeatureAdapter, FeatureCache, SpeechEncoder, SpeechStream
+from freetalk.speech import EncodeOptions, FeatureAdapter, SpeechEncoder, SpeechStream
 
 SMALL = {
     "conv_dim": [16] * 7,
@@ -86,50 +84,6 @@ def test_adapter_refuses_what_it_cannot_do(encoder: SpeechEncoder) -> None:
     ):
         with pytest.raises(ValueError, match=word):
             FeatureAdapter(encoder, **{"fps": 25.0, **fields})
-
-
-def test_cache_reads_what_it_wrote(
-    encoder: SpeechEncoder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    samples = 0.1 * torch.randn(20000)
-    cache = FeatureCache(encoder, tmp_path)
-    first = cache.encode(samples, 30)
-    assert torch.equal(first, speech.encode_speech(encoder, samples, 30))
-    monkeypatch.setattr("freetalk.speech.cache.encode_speech", None)  # a call would fail
-    assert torch.equal(cache.encode(samples.numpy(), 30), first)
-    assert len(list(tmp_path.iterdir())) == 1
-
-
-def test_cache_keys_follow_content_weights_and_options(
-    encoder: SpeechEncoder, tmp_path: Path
-) -> None:
-    samples = 0.1 * torch.randn(5000)
-    cache = FeatureCache(encoder, tmp_path)
-    keys = [
-        cache.path(samples, 30),
-        cache.path(samples + 1e-4, 30),
-        cache.path(samples, 25),
-        cache.path(samples, None),
-        cache.path(samples, 30, EncodeOptions(layer=1)),
-        cache.path(samples, 30, layer_weights=torch.ones(3)),
-        FeatureCache(encoder, tmp_path, half=True).path(samples, 30),
-    ]
-    with torch.no_grad():
-        next(encoder.parameters()).mul_(1.01)
-    cache.refresh()
-    keys.append(cache.path(samples, 30))
-    assert len(set(keys)) == len(keys)
-    assert cache.path(samples.clone(), 30, EncodeOptions()) == keys[-1]
-
-
-def test_cache_makes_a_damaged_entry_anew(encoder: SpeechEncoder, tmp_path: Path) -> None:
-    samples = 0.1 * torch.randn(5000)
-    cache = FeatureCache(encoder, tmp_path, half=True)
-    first = cache.encode(samples, 30)
-    cache.path(samples, 30).write_bytes(b"damaged")
-    assert torch.equal(cache.encode(samples, 30), first)
-    # float16 keeps 11 bits
-    assert torch.allclose(first, speech.encode_speech(encoder, samples, 30), rtol=1e-3, atol=1e-4)
 
 
 def test_stream_equals_the_offline_run(encoder: SpeechEncoder) -> None:

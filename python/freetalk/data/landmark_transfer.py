@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from freetalk import geometry
 from freetalk.data.pack import NUM_LANDMARKS
@@ -125,7 +126,7 @@ def fit_face(vertices: npt.NDArray[Any], faces: npt.NDArray[Any], model: LinearF
         step = _solve(points[kept], offset[kept], normals[nearest[kept]], modes[:, kept] @ matrix.T,
                       coefficients)  # fmt: skip
         coefficients = coefficients + step[7:]
-        turn = (1 + step[6]) * _rotation(step[:3])
+        turn = (1 + step[6]) * Rotation.from_rotvec(step[:3]).as_matrix()
         matrix, shift = turn @ matrix, turn @ shift + step[3:6]
     fitted = (rest + np.tensordot(coefficients, model.identity_basis, axes=1)) @ matrix.T + shift
     return FaceFit(fitted, coefficients, float(np.median(distance[kept])), float(kept.mean()))
@@ -180,14 +181,6 @@ def _solve(
     prior = np.concatenate([np.full(7, 1e-3), np.ones(len(modes))])
     right[7:] -= coefficients
     return np.asarray(np.linalg.solve(normal_matrix + np.diag(prior), right), dtype=np.float64)
-
-
-def _rotation(vector: Points) -> Points:
-    """(3, 3) rotation of axis times angle (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
-    x, y, z = vector / max(angle, 1e-12)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
 
 
 def region_masks(

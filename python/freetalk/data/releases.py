@@ -50,7 +50,14 @@ from freetalk.data.index_files import Landmarks
 from freetalk.data.pack import NUM_LANDMARKS, SAMPLE_RATE_HZ, FloatArray
 from freetalk.data.safe_pickle import load_pickle
 from freetalk.data.splits import SPLITS
-from freetalk.data.templates import Template, find_template, find_template_mesh, read_mesh
+from freetalk.data.templates import (
+    Template,
+    find_template,
+    find_template_mesh,
+    read_faces,
+    read_mesh,
+    speaker_of,
+)
 
 Array = npt.NDArray[Any]
 KINDS = ("vocaset", "biwi", "multiface", "emovoca", "mead", "folder")
@@ -80,7 +87,6 @@ _RATES = {
 _RELEASED = ("data_verts.npy", "raw_audio_fixed.pkl", "subj_seq_to_idx.pkl", "templates.pkl")
 _MOTION_FOLDERS = ("vertices_npy", "vertices", "sequences", "motion")
 _SOUND_SUFFIXES = (".wav", ".flac", ".ogg", ".mp3")
-_MESH_SUFFIXES = (".obj", ".ply", ".off", ".stl")
 _EMOTE_FILE = "shape_pose_cam.hdf5"
 
 
@@ -300,7 +306,7 @@ def _folder(directory: Path) -> Release:
         if split not in (None, *SPLITS):
             raise LabelError(f"{where} has the split {split!r}; known: {', '.join(SPLITS)}")
         return {
-            "speaker": row.get("speaker") or _speaker(stem, neutral),
+            "speaker": row.get("speaker") or speaker_of(stem, neutral) or stem.rpartition("_")[0],
             "emotion": emotion_of(row.get("emotion") or "neutral", None, where),
             "intensity": intensity_of(row.get("intensity") or 1, where),
             "text": row.get("text") or None,
@@ -508,41 +514,15 @@ def _sparse_template() -> Template:
 
 
 def _neutral_faces(places: Iterable[Path]) -> tuple[dict[str, FloatArray], dict[str, Array]]:
-    """Neutral faces by speaker, and the triangles of those that are mesh files."""
-    for place in places:
-        if (place / "templates.pkl").is_file():
-            return _pickled_faces(place / "templates.pkl"), {}
-        folder = place / "templates"
-        neutral: dict[str, FloatArray] = {}
-        faces: dict[str, Array] = {}
-        for path in sorted(folder.iterdir()) if folder.is_dir() else []:
-            if path.suffix.lower() == ".npy":
-                neutral[path.stem] = _neutral_array(np.load(path, allow_pickle=False), str(path))
-            elif path.suffix.lower() in _MESH_SUFFIXES:
-                neutral[path.stem], faces[path.stem] = read_mesh(path)
-        if neutral:
-            return neutral, faces
+    """Neutral faces by speaker, and the triangles of those that are mesh files, of the first place that has any."""
+    searched = list(places)
+    for place in searched:
+        for path in (place / "templates.pkl", place / "templates"):
+            if path.exists():
+                return read_faces(path)
     raise MissingTemplateError(
-        f"{next(iter(places))} has no neutral faces: neither templates.pkl nor templates/SPEAKER.ply"
+        f"{searched[0]} has no neutral faces: neither templates.pkl nor templates/SPEAKER.ply"
     )
-
-
-def _pickled_faces(path: Path) -> dict[str, FloatArray]:
-    content = load_pickle(path)
-    if not isinstance(content, dict):
-        raise DatasetError(
-            f"{path} holds {type(content).__name__}; expected speakers and their faces"
-        )
-    return {
-        str(speaker): _neutral_array(np.asarray(points), f"{path}: the template of {speaker}")
-        for speaker, points in content.items()
-    }
-
-
-def _neutral_array(array: Array, where: str) -> FloatArray:
-    if array.dtype.kind != "f" or array.size % 3:
-        raise DatasetError(f"{where} is {array.dtype} {array.shape}; a neutral face is (V, 3)")
-    return array.reshape(-1, 3).astype(np.float32)
 
 
 def _common_size(neutral: dict[str, FloatArray]) -> int:
@@ -565,12 +545,6 @@ def _check_labels(directory: Path, stem: str, emotion: str, level: int) -> None:
             raise DatasetError(f"{path} holds no single number: {error}") from error
         if found != said:
             raise LabelError(f"{path} says {found}, {what} is {said}")
-
-
-def _speaker(stem: str, neutral: dict[str, FloatArray]) -> str:
-    """The longest template name that the file's name starts with, else all before the last ``_``."""
-    fitting = [name for name in neutral if stem == name or stem.startswith(name + "_")]
-    return max(fitting, key=len) if fitting else stem.rpartition("_")[0] or stem
 
 
 def _labels(path: Path) -> dict[str, dict[str, str]]:

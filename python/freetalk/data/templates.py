@@ -9,6 +9,8 @@ result names each by file, count and hash.
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,7 @@ from freetalk.data.index_files import (
     read_landmarks,
     read_mask,
 )
+from freetalk.data.safe_pickle import load_pickle
 from freetalk.mesh import load_mesh
 
 #: Template by number of vertices and triangles.
@@ -43,6 +46,7 @@ KNOWN_LANDMARKS: dict[str, str] = {
     "1e40b8108b41c29b": "FLAME, full_lmk of DECA's landmark_embedding.npy",
 }
 
+_MESH_SUFFIXES = (".obj", ".ply", ".off", ".stl")
 _FOLDERS = ("", "template", "templates", "flame_model", "regions")
 _LANDMARK_NAMES = ("landmarks68", "landmarks", "landmark_embedding", "flame_static_embedding")
 _LIP_NAMES = ("lip_mask", "lips", "mouth_indices", "FLAME_lips_idx", "lve")
@@ -135,6 +139,50 @@ def read_mesh(path: Path) -> tuple[FloatArray, npt.NDArray[np.int64]]:
         raise DatasetError(str(error)) from error
     vertices = np.asarray(mesh.vertices, dtype=np.float32)
     return vertices, np.asarray(mesh.faces, dtype=np.int64)
+
+
+def read_faces(path: Path) -> tuple[dict[str, FloatArray], dict[str, npt.NDArray[np.int64]]]:
+    """Neutral faces (V, 3) by speaker, and the triangles (F, 3) of those that are mesh files.
+
+    Args:
+        path: ``templates.pkl`` or ``.npz`` (speaker to array), a folder of meshes or ``.npy`` named after their
+            speakers, or one mesh or ``.npy``, which is everyone's, under the name ``''``.
+
+    Raises:
+        MissingFileError, UnsafePickleError, DatasetError: not there, not plain, or no faces.
+    """
+    held: dict[str, Any] = {}
+    faces: dict[str, npt.NDArray[np.int64]] = {}
+    if path.suffix.lower() in (".pkl", ".npz"):
+        content = load_pickle(path) if path.suffix.lower() == ".pkl" else np.load(path)
+        if not hasattr(content, "items"):
+            raise DatasetError(
+                f"{path} holds {type(content).__name__}; expected speakers and their faces"
+            )
+        held = {str(name): np.asarray(points) for name, points in content.items()}
+    else:
+        files = {p.stem: p for p in sorted(path.iterdir())} if path.is_dir() else {"": path}
+        for name, file in files.items():
+            if file.suffix.lower() in _MESH_SUFFIXES:
+                held[name], faces[name] = read_mesh(file)
+            elif file.suffix.lower() == ".npy" and file.is_file():
+                held[name] = np.load(file, allow_pickle=False)
+    for name, points in held.items():
+        if points.dtype.kind != "f" or points.size % 3:
+            raise DatasetError(
+                f"{path}: the face {name} is {points.dtype} {points.shape}; expected (V, 3)"
+            )
+    if not held:
+        raise DatasetError(f"{path} holds no neutral face (a mesh or .npy)")
+    return {n: np.asarray(p, np.float32).reshape(-1, 3) for n, p in held.items()}, faces
+
+
+def speaker_of(name: str, speakers: Collection[str]) -> str | None:
+    """The longest speaker that a sequence's name begins with, as a whole word (``F1`` of ``F1_e37``)."""
+    if "" in speakers:
+        return ""
+    fitting = [s for s in speakers if name == s or re.match(re.escape(s) + r"[^A-Za-z0-9]", name)]
+    return max(fitting, key=len, default=None)
 
 
 def find_template(

@@ -11,6 +11,7 @@ import numpy as np
 
 from freetalk.audio import load_audio
 from freetalk.data import NUM_LANDMARKS, DatasetError, LayoutError, Mask, open_dataset
+from freetalk.data.templates import read_faces, speaker_of
 from freetalk.evaluate.dataset_truth import DatasetTruth
 from freetalk.evaluate.masks import Pairs, landmark_masks, landmark_pairs
 from freetalk.evaluate.motion_files import (
@@ -23,8 +24,6 @@ from freetalk.evaluate.motion_files import (
     motion_paths,
     read_motion,
     read_stated,
-    read_templates,
-    speaker_of,
     unit_scale,
 )
 
@@ -134,7 +133,7 @@ class FolderTruth:
         self._paths = {path.stem: path for path in motion_paths(directory)}
         self.names = list(self._paths)
         self._unit = None if settings.unit is None else unit_scale(settings.unit)
-        self._templates = {} if settings.templates is None else read_templates(settings.templates)
+        self._templates = {} if settings.templates is None else read_faces(settings.templates)[0]
         stated = {path: read_stated(path) for path in self._paths.values()}
         own_fps = _common({path: own.fps for path, own in stated.items()}, "fps")
         self.fps = agreed(own_fps, settings.fps, f"{directory}: frames per second", "--fps")

@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from freetalk.data import DatasetError, NotFiniteError, load_pickle
+from freetalk.data import DatasetError, NotFiniteError
 from freetalk.data.pose import UNITS
-from freetalk.data.templates import read_mesh
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -286,48 +285,3 @@ def _regex(pattern: str) -> re.Pattern[str]:
     for field, form in (("name", ".+"), ("sample", ".+"), ("number", r"\d+")):
         text = text.replace(re.escape(f"{{{field}}}"), f"(?P<{field}>{form})")
     return re.compile(text)
-
-
-def read_templates(path: Path) -> dict[str, FloatArray]:
-    """Neutral faces (V, 3) by speaker; a single mesh is everyone's, under the name ``''``.
-
-    Args:
-        path: ``templates.pkl`` or ``.npz`` (speaker to array), a folder of meshes or ``.npy`` named
-            after their speakers, or one mesh or ``.npy``.
-
-    Raises:
-        FileNotFoundError, ValueError: not there, or no faces.
-    """
-    if path.is_dir():
-        files = [p for p in sorted(path.iterdir()) if p.suffix.lower() in (".obj", ".ply", ".npy")]
-        faces = {file.stem: _single(file) for file in files}
-    elif path.suffix.lower() in (".pkl", ".npz"):
-        held = (
-            load_pickle(path)
-            if path.suffix.lower() == ".pkl"
-            else np.load(path, allow_pickle=False)
-        )
-        if not hasattr(held, "items"):
-            raise DatasetError(f"{path} holds no speakers and their faces")
-        faces = {str(name): np.asarray(points).reshape(-1, 3) for name, points in held.items()}
-    else:
-        faces = {"": _single(path)}
-    if not faces:
-        raise DatasetError(f"{path} holds no neutral face (.obj, .ply or .npy)")
-    return {name: np.asarray(points, dtype=np.float32) for name, points in faces.items()}
-
-
-def _single(path: Path) -> FloatArray:
-    if path.suffix.lower() != ".npy":
-        return read_mesh(path)[0]
-    if not path.is_file():
-        raise FileNotFoundError(f"there is no file {path}")
-    return np.asarray(np.load(path, allow_pickle=False), dtype=np.float32).reshape(-1, 3)
-
-
-def speaker_of(name: str, speakers: Collection[str]) -> str | None:
-    """The longest speaker that a sequence's name begins with, as a whole word (``F1`` of ``F1_e37``)."""
-    if "" in speakers:
-        return ""
-    fitting = [s for s in speakers if name == s or re.match(re.escape(s) + r"[^A-Za-z0-9]", name)]
-    return max(fitting, key=len, default=None)

@@ -22,7 +22,6 @@ from freetalk._native.speech import (
     wav2vec2_large_lv60,
 )
 from freetalk.speech.adapter import FeatureAdapter
-from freetalk.speech.cache import FeatureCache
 from freetalk.speech.checkpoint import convert_checkpoint
 from freetalk.speech.encoder import SpeechEncoder
 from freetalk.speech.features import (
@@ -36,7 +35,6 @@ __all__ = [
     "SAMPLE_RATE_HZ",
     "EncodeOptions",
     "FeatureAdapter",
-    "FeatureCache",
     "FrameTiming",
     "SpeechEncoder",
     "SpeechEncoderOptions",

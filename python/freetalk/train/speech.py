@@ -104,7 +104,6 @@ class SpeechTask:
             self.sources,
         ).to(device)
         self._timing = self.model.encoder.timing
-        self._audio: dict[str, npt.NDArray[np.int16]] = {}
         if options.conv_kernel[0] >= 160:
             self._start_from_filters(options.conv_dim[0], options.conv_kernel[0])
 
@@ -242,11 +241,11 @@ class SpeechTask:
         rate = self.corpus.sample_rate_hz
         reach = self.options.speed_range if altered else 0.0
         speed = 1.0 + rng.uniform(-reach, reach)
-        source = self._wave(sequence)
+        heard_in = self.recordings if sequence.source == RECORDED else self.corpus
+        source = heard_in.audio(sequence)
         needed = int(length * speed) + 2
         start = int(rng.integers(0, max(1, len(source) - needed + 1)))
-        piece = source[start : start + needed].astype(np.float32) / np.float32(32768)
-        clean = change_speed(piece, speed)[:length]
+        clean = change_speed(source[start : start + needed], speed)[:length]
         heard = len(clean)
         clean = np.pad(clean, (0, length - heard))
         wave = clean
@@ -281,15 +280,6 @@ class SpeechTask:
         size = self.batch_size
         parts = [self.collate(items[i : i + size]) for i in range(0, len(items), size)]
         return [moved(part, self.device) for part in parts]
-
-    def _wave(self, sequence: MotionSequence) -> npt.NDArray[np.int16]:
-        if sequence.id not in self._audio:
-            recorded = sequence.source == RECORDED
-            samples = (self.recordings if recorded else self.corpus).audio(sequence)
-            self._audio[sequence.id] = np.round(np.clip(samples, -1.0, 1.0) * 32767).astype(
-                np.int16
-            )
-        return self._audio[sequence.id]
 
     @torch.no_grad()
     def _start_from_filters(self, channels: int, taps: int) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 from tqdm import tqdm
 
@@ -74,9 +75,7 @@ def random_placement(
     axis = rng.standard_normal(3)
     axis /= np.linalg.norm(axis)
     angle = np.deg2rad(rotation_deg) * rng.uniform(-1, 1)
-    x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    rotation = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * (cross @ cross)
+    rotation = Rotation.from_rotvec(angle * axis).as_matrix()
     return Placement(
         torch.tensor(rotation, dtype=torch.float32, device=device),
         torch.tensor(
