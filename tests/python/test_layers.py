@@ -41,6 +41,7 @@ PYTHON_LAYERS: dict[str, int] = {
     "corpus": 1,
     "data": 1,
     "page": 2,
+    "faces": 2,
     "train": 2,
     "video": 2,
     "evaluate": 3,

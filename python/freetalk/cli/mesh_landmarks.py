@@ -20,55 +20,57 @@ _GROUPS = (
     ("eyes", 36, 48),
     ("lips", 48, 68),
 )
-#: Further from the fitted face than this (m), a landmark should be looked at.
-_DOUBTFUL_M = 0.005
+#: Below this confidence a landmark should be looked at.
+_DOUBTFUL = 0.3
 _SIDE = 900
 
 
 def run(arguments: argparse.Namespace) -> None:
-    """Proposes the 68 landmarks of a template, takes corrections, writes and shows them."""
+    """Finds the 68 landmarks of a mesh, takes corrections, writes and shows them."""
     file = check_readable(arguments.file, "a mesh (OBJ, PLY, OFF or STL)")
     changes = [_change(text) for text in arguments.set]
     outputs = [Path(arguments.out)] + [Path(p) for p in (arguments.picture,) if p is not None]
     for path in outputs:
         check_writable(path)
     import freetalk
-    from freetalk.corpus.assets import EXTENTS, crop_quads, load_face_model, triangulate
     from freetalk.data import read_landmarks
-    from freetalk.data.landmark_transfer import LinearFace, propose_landmarks, region_masks
+    from freetalk.data.landmark_transfer import region_masks
+    from freetalk.faces import find_landmarks
 
     mesh: Any = freetalk.load_mesh(file)
-    faces = np.asarray(mesh.faces)
-    alignment = align(arguments, mesh.vertices, faces)
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    alignment = align(arguments, vertices, faces)
     print(f"{file}: {alignment.summary}")
-    vertices = alignment.to_canonical.apply(np.asarray(mesh.vertices))
-    model, count = load_face_model(), EXTENTS["face"]
-    known = LinearFace(
-        model.neutral[:count],
-        triangulate(crop_quads(model, "face")),
-        model.identity_basis[:, :count],
-        model.landmarks68,
-    )
-    proposed = propose_landmarks(vertices, faces, known)
-    indices = proposed.indices.copy()
+    pictures = None if arguments.pictures == "auto" else arguments.pictures == "yes"
+    found = find_landmarks(vertices, faces, alignment, pictures=pictures, name=str(file))
+    print(f"  {found.summary}")
+    upright = found.pose.apply(vertices)
+    corners, weights = faces[found.triangles].astype(np.int64), found.weights.copy()
     if arguments.start is not None:
-        start = check_readable(arguments.start, "landmarks")
-        indices = read_landmarks(start, faces, len(vertices)).indices.copy()
+        start = read_landmarks(check_readable(arguments.start, "landmarks"), faces, len(vertices))
+        corners, weights = start.vertices.copy(), start.weights.astype(np.float64)
+    given = np.full(len(corners), arguments.start is not None)
     for landmark, vertex in changes:
         if vertex >= len(vertices):
             raise ValueError(f"--set {landmark}={vertex}: the mesh has {len(vertices)} vertices")
-        indices[landmark] = vertex
-    _report(proposed, vertices, indices)
-    _write_lists(Path(arguments.out), indices, len(vertices))
+        corners[landmark], weights[landmark] = vertex, (1.0, 0.0, 0.0)
+        given[landmark] = True
+    indices = corners[np.arange(len(corners)), weights.argmax(axis=1)]
+    confidence = np.where(given, 1.0, found.confidence)
+    _report(confidence, given, indices)
+    _write_landmarks(Path(arguments.out), corners, weights, confidence, len(vertices))
     if arguments.masks:
+        if found.fit is None:
+            raise ValueError(f"{file}: the built-in face does not fit it, so it gives no masks")
         for name, mask in zip(
-            ("lip_mask", "upper_mask"), region_masks(vertices, indices, proposed.fit)
+            ("lip_mask", "upper_mask"), region_masks(upright, indices, found.fit)
         ):
             path = Path(arguments.out).with_name(f"{name}.json")
             path.write_text(json.dumps(mask.tolist()) + "\n")
             print(f"wrote {path} ({len(mask)} vertices)")
     if arguments.picture is not None:
-        draw_landmarks(vertices, faces, indices, Path(arguments.picture))
+        marks = np.einsum("kcd,kc->kd", upright[corners], weights)
+        draw_landmarks(upright, faces, marks, Path(arguments.picture))
         print(
             f"wrote {arguments.picture}; correct a landmark with --start {arguments.out} --set N=VERTEX"
         )
@@ -77,7 +79,7 @@ def run(arguments: argparse.Namespace) -> None:
 def draw_landmarks(
     vertices: npt.NDArray[Any],
     faces: npt.NDArray[Any],
-    indices: npt.NDArray[np.int64],
+    landmarks: npt.NDArray[Any],
     path: Path,
 ) -> None:
     """Writes a PNG of a face with numbered landmarks, from the front and from both sides.
@@ -85,7 +87,7 @@ def draw_landmarks(
     Args:
         vertices: (V, 3) canonical frame, m.
         faces: (F, 3).
-        indices: (68,) vertices.
+        landmarks: (68, 3) canonical frame, m.
         path: where.
 
     Raises:
@@ -94,7 +96,7 @@ def draw_landmarks(
     from freetalk.viz import FaceRenderer, Sequence, View, save_image
 
     points = np.asarray(vertices, dtype=np.float32)
-    marks = points[indices]
+    marks = np.asarray(landmarks, dtype=np.float32)
     still = np.zeros((1, len(points), 3), dtype=np.float32)
     sequence = Sequence(points, np.asarray(faces, dtype=np.int64), still, 1.0, located=True)
     pictures = []
@@ -127,21 +129,18 @@ def _change(text: str) -> tuple[int, int]:
     return int(landmark), int(vertex)
 
 
-def _report(proposed: Any, vertices: npt.NDArray[Any], indices: npt.NDArray[np.int64]) -> None:
-    fit = proposed.fit
-    print(
-        f"  the built-in face fits to {1000 * fit.residual_m:.1f} mm over {100 * fit.paired:.0f} % of it"
-    )
-    changed = indices != proposed.indices
+def _report(
+    confidence: npt.NDArray[np.float64],
+    given: npt.NDArray[np.bool_],
+    indices: npt.NDArray[np.int64],
+) -> None:
     for name, first, stop in _GROUPS:
-        distance = 1000 * proposed.distance_m[first:stop]
-        note = f", {int(changed[first:stop].sum())} as given" if changed[first:stop].any() else ""
-        print(
-            f"  {name}: {distance.mean():.1f} mm from the fitted face, at most {distance.max():.1f}{note}"
-        )
-    doubtful = np.flatnonzero((proposed.distance_m > _DOUBTFUL_M) & ~changed)
+        sure = confidence[first:stop]
+        note = f", {int(given[first:stop].sum())} as given" if given[first:stop].any() else ""
+        print(f"  {name}: confidence {sure.mean():.2f}, least {sure.min():.2f}{note}")
+    doubtful = np.flatnonzero((confidence < _DOUBTFUL) & ~given)
     if len(doubtful):
-        print(f"  look at {', '.join(map(str, doubtful))}: the fitted face is more than 5 mm away")
+        print(f"  look at {', '.join(map(str, doubtful))}: they may be elsewhere")
     twice = [int(v) for v in np.unique(indices) if (indices == v).sum() > 1]
     if twice:
         print(
@@ -149,7 +148,21 @@ def _report(proposed: Any, vertices: npt.NDArray[Any], indices: npt.NDArray[np.i
         )
 
 
-def _write_lists(path: Path, indices: npt.NDArray[np.int64], num_vertices: int) -> None:
-    content = {"landmarks": indices.tolist(), "vertices": num_vertices}
+def _write_landmarks(
+    path: Path,
+    corners: npt.NDArray[np.int64],
+    weights: npt.NDArray[np.float64],
+    confidence: npt.NDArray[np.float64],
+    num_vertices: int,
+) -> None:
+    """Writes the landmarks as vertices and, exactly, as weighted means of three."""
+    indices = corners[np.arange(len(corners)), weights.argmax(axis=1)]
+    content = {
+        "landmarks": indices.tolist(),
+        "corners": corners.tolist(),
+        "weights": np.round(weights, 6).tolist(),
+        "confidence": np.round(confidence, 3).tolist(),
+        "vertices": num_vertices,
+    }
     path.write_text(json.dumps(content) + "\n")
     print(f"wrote {path}")

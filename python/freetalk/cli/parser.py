@@ -311,10 +311,12 @@ def _add_mesh_landmarks(nested: Any) -> None:
         nested,
         "landmarks",
         "mesh_landmarks:run",
-        "propose the 68 landmarks of a template",
+        "find the 68 landmarks of a mesh",
         description=(
-            "Fits the built-in face to a template of any meshing and writes the vertices under its 68 "
-            "landmarks (iBUG order) as JSON for datasets of that template. Look at the picture, then "
+            "Finds the face on a mesh of any meshing, unit and pose, a whole character too, and writes where "
+            "its 68 landmarks (iBUG order) lie, with confidences, as JSON for 'freetalk animate --landmarks' "
+            "and for datasets of that template. Pictures of the mesh are looked at (extra 'faces'), then the "
+            "built-in face is fitted; without them, its shape alone counts. Look at the picture, then "
             "correct: --start FILE --set 48=1532."
         ),
     )
@@ -324,7 +326,15 @@ def _add_mesh_landmarks(nested: Any) -> None:
     parser.add_argument(
         "--masks", action="store_true", help="also write lip_mask.json and upper_mask.json beside"
     )
-    parser.add_argument("--start", metavar="FILE", help="landmarks to correct instead of proposing")
+    parser.add_argument(
+        "--pictures",
+        choices=("auto", "yes", "no"),
+        default="auto",
+        help="look at pictures of the mesh; auto: where the extra is installed",
+    )
+    parser.add_argument(
+        "--start", metavar="FILE", help="landmarks to correct instead of those found"
+    )
     parser.add_argument(
         "--set", action="append", default=[], metavar="N=VERTEX", help="correct one; repeatable"
     )

@@ -126,7 +126,8 @@ def read_mask(path: Path, num_vertices: int, parts: tuple[str, ...] = ()) -> Mas
 def read_landmarks(path: Path, faces: npt.NDArray[Any], num_vertices: int) -> Landmarks:
     """The 68 landmarks: vertex indices in iBUG order, or points on faces as FLAME's embeddings.
 
-    Understood are 68 indices, a mapping with ``landmarks`` (as ``freetalk mesh landmarks`` writes),
+    Understood are 68 indices, a mapping with ``landmarks`` (``freetalk mesh landmarks`` also writes the
+    ``corners`` and ``weights`` of each, which then count),
     one with ``lmk_face_idx`` and ``lmk_b_coords`` of 68 rows or with the ``full_lmk_faces_idx`` and
     ``full_lmk_bary_coords`` of DECA, and FLAME's ``flame_static_embedding.pkl`` (51 rows) beside its
     ``flame_dynamic_embedding.npy``, whose contour at angle 0 gives the 17 of the jaw.
@@ -160,6 +161,8 @@ def read_landmarks(path: Path, faces: npt.NDArray[Any], num_vertices: int) -> La
                 f"{path} is of a mesh with {content['vertices']} vertices, the template has "
                 f"{num_vertices}"
             )
+        if "corners" in content and "weights" in content:
+            return _weighted(content["corners"], content["weights"], num_vertices, path)
         content = content["landmarks"]
     indices = _integers(np.asarray(content).ravel(), path)
     _check_count(len(indices), path)
@@ -192,6 +195,16 @@ def _embedded(face_rows: Any, weights: Any, faces: npt.NDArray[Any], path: Path)
             f"{path}: {shares.shape} barycentric weights do not fit {len(rows)} faces"
         )
     return Landmarks(np.asarray(faces, dtype=np.int64)[rows], shares, str(path))
+
+
+def _weighted(corners: Any, weights: Any, num_vertices: int, path: Path) -> Landmarks:
+    vertices = _integers(np.asarray(corners).ravel(), path).reshape(-1, 3)
+    _check_count(len(vertices), path)
+    _check_range(vertices.ravel(), num_vertices, path)
+    shares = np.asarray(weights, dtype=np.float32)
+    if shares.shape != vertices.shape or np.abs(shares.sum(axis=1) - 1).max() > 1e-3:
+        raise DatasetError(f"{path}: {shares.shape} weights do not fit {len(vertices)} landmarks")
+    return Landmarks(vertices, shares, str(path))
 
 
 def _content(path: Path) -> Any:

@@ -4,7 +4,7 @@ The template is first aligned with the model by a similarity (``freetalk.geometr
 model's identity then follows the template's surface: each round pairs samples of the model with the nearest
 point of the template whose normal agrees, and solves for the identity coefficients and a small similarity by
 point-to-plane least squares with a Gaussian prior, as in classical 3D-morphable-model fitting. The landmarks of
-the fitted face go to the nearest vertex whose normal agrees, so closed lips and lids do not mix.
+the fitted face go to the nearest place whose normal agrees, so closed lips and lids do not mix.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from freetalk import geometry
-from freetalk.data.pack import NUM_LANDMARKS
 from freetalk.mesh import vertex_normals
 
 Points = npt.NDArray[np.float64]
@@ -55,6 +54,28 @@ class LinearFace:
 
 
 @dataclass(frozen=True)
+class Anchors:
+    """Points of the template whose places on the model are known.
+
+    Attributes:
+        vertices: (N, 3) corners of the model's triangle that each lies on.
+        weights: (N, 3) barycentric, sum 1.
+        positions: (N, 3) on the template, m.
+        deviation_m: (N,) how far off they may be.
+    """
+
+    vertices: npt.NDArray[np.int64]
+    weights: Points
+    positions: Points
+    deviation_m: Points
+
+    def of(self, points: npt.NDArray[Any]) -> Points:
+        """(..., N, 3) of the model's vertices (..., V, 3)."""
+        corners = np.asarray(points, dtype=np.float64)[..., self.vertices, :]
+        return np.asarray(np.einsum("...kcd,kc->...kd", corners, self.weights))
+
+
+@dataclass(frozen=True)
 class FaceFit:
     """The model on the template.
 
@@ -76,25 +97,35 @@ class ProposedLandmarks:
     """Landmarks of a template.
 
     Attributes:
-        indices: (68,) vertices.
+        triangles: (68,) of the template, which they lie on.
+        weights: (68, 3) barycentric on them, sum 1.
+        indices: (68,) the vertices that count most.
         positions: (68, 3) where they lie, canonical frame, m.
         distance_m: (68,) from the fitted model's landmarks.
         fit: the fitted model.
     """
 
+    triangles: npt.NDArray[np.int64]
+    weights: Points
     indices: npt.NDArray[np.int64]
     positions: Points
     distance_m: Points
     fit: FaceFit
 
 
-def fit_face(vertices: npt.NDArray[Any], faces: npt.NDArray[Any], model: LinearFace) -> FaceFit:
+def fit_face(
+    vertices: npt.NDArray[Any],
+    faces: npt.NDArray[Any],
+    model: LinearFace,
+    anchors: Anchors | None = None,
+) -> FaceFit:
     """Fits a linear face model to an aligned template.
 
     Args:
         vertices: (V, 3) template in the canonical frame, m.
         faces: (F, 3) its triangles.
         model: the face model.
+        anchors: points that are known already; they count beside the surface.
 
     Raises:
         ValueError: the surfaces are too far apart to be the same face.
@@ -107,6 +138,7 @@ def fit_face(vertices: npt.NDArray[Any], faces: npt.NDArray[Any], model: LinearF
     chosen = used[:: max(1, len(used) // _SAMPLES)]
     modes = np.asarray(model.identity_basis[:, chosen], dtype=np.float64)  # (K, S, 3)
     rest = np.asarray(model.neutral, dtype=np.float64)
+    held_modes = None if anchors is None else anchors.of(model.identity_basis)  # (K, N, 3)
     coefficients = np.zeros(len(modes))
     matrix, shift = np.eye(3), np.zeros(3)
     distance, kept = np.zeros(0), np.zeros(0, bool)
@@ -123,8 +155,14 @@ def fit_face(vertices: npt.NDArray[Any], faces: npt.NDArray[Any], model: LinearF
             raise ValueError(
                 "the mesh and the built-in face hardly meet: is it a face in this pose and unit?"
             )
-        step = _solve(points[kept], offset[kept], normals[nearest[kept]], modes[:, kept] @ matrix.T,
-                      coefficients)  # fmt: skip
+        on_surface = _surface_rows(
+            points[kept], offset[kept], normals[nearest[kept]], modes[:, kept] @ matrix.T
+        )
+        held = None
+        if anchors is not None and held_modes is not None:
+            places = anchors.of(whole) @ matrix.T + shift
+            held = _anchor_rows(places, anchors, held_modes @ matrix.T)
+        step = _solve(on_surface, held, coefficients)
         coefficients = coefficients + step[7:]
         turn = (1 + step[6]) * Rotation.from_rotvec(step[:3]).as_matrix()
         matrix, shift = turn @ matrix, turn @ shift + step[3:6]
@@ -135,7 +173,7 @@ def fit_face(vertices: npt.NDArray[Any], faces: npt.NDArray[Any], model: LinearF
 def propose_landmarks(
     vertices: npt.NDArray[Any], faces: npt.NDArray[Any], model: LinearFace
 ) -> ProposedLandmarks:
-    """The vertices of an aligned template that lie where the fitted model has its landmarks.
+    """The places of an aligned template where the fitted model has its landmarks.
 
     Args:
         vertices: (V, 3) template in the canonical frame, m.
@@ -149,23 +187,72 @@ def propose_landmarks(
     fit = fit_face(points, faces, model)
     wanted = fit.vertices[model.landmarks]
     directions = vertex_normals(fit.vertices, model.faces)[model.landmarks]
-    own = vertex_normals(points, faces)
-    on_surface = np.unique(faces)
-    indices = np.zeros(NUM_LANDMARKS, dtype=np.int64)
-    for number in range(NUM_LANDMARKS):
-        offset = np.square(points[on_surface] - wanted[number]).sum(axis=1)
-        turned = 1 - own[on_surface] @ directions[number]
-        indices[number] = on_surface[(offset + _NORMAL_COST_M**2 * turned).argmin()]
-    positions = points[indices]
-    return ProposedLandmarks(indices, positions, np.linalg.norm(positions - wanted, axis=1), fit)
+    places = on_surface(points, faces, wanted, directions)
+    return ProposedLandmarks(*places, np.linalg.norm(places[3] - wanted, axis=1), fit)
 
 
-def _solve(
-    points: Points, offset: Points, normals: Points, modes: Points, coefficients: Points
-) -> Points:
-    """Rotation (3), translation (3), growth (1) and change of the coefficients (K) of one round."""
-    count = len(points)
-    moves = np.zeros((count, 3, 7 + len(modes)))
+def on_surface(
+    vertices: Points, faces: npt.NDArray[Any], wanted: Points, directions: Points
+) -> tuple[npt.NDArray[np.int64], Points, npt.NDArray[np.int64], Points]:
+    """The places of a surface nearest to points (N, 3), on its side that faces their directions (N, 3).
+
+    The side is chosen by vertex, so that closed lips and lids do not mix; then the place among the triangles
+    around that vertex.
+
+    Args:
+        vertices: (V, 3) m.
+        faces: (F, 3).
+        wanted: (N, 3) m.
+        directions: (N, 3) unit normals.
+
+    Returns:
+        triangles (N,), barycentric weights (N, 3), the vertex that counts most (N,) and positions (N, 3).
+    """
+    triangles = np.asarray(faces, dtype=np.int64)
+    own = vertex_normals(vertices, triangles)
+    used = np.unique(triangles)
+    best, shares = np.zeros(len(wanted), np.int64), np.zeros((len(wanted), 3))
+    for number, (point, direction) in enumerate(zip(wanted, directions)):
+        offset = np.square(vertices[used] - point).sum(axis=1)
+        cost = offset + _NORMAL_COST_M**2 * (1 - own[used] @ direction)
+        around = np.flatnonzero((triangles == used[cost.argmin()]).any(axis=1))
+        weights = _nearest_in(vertices[triangles[around]], point)
+        places = np.einsum("fcd,fc->fd", vertices[triangles[around]], weights)
+        chosen = int(np.square(places - point).sum(axis=1).argmin())
+        best[number], shares[number] = around[chosen], weights[chosen]
+    corners = triangles[best]
+    indices = corners[np.arange(len(best)), shares.argmax(axis=1)]
+    return best, shares, indices, np.einsum("ncd,nc->nd", vertices[corners], shares)
+
+
+def _nearest_in(corners: Points, point: Points) -> Points:
+    """(F, 3) barycentric weights of the places in triangles (F, 3, 3) nearest to a point (3,)."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    ab, ac, ap = b - a, c - a, point - a
+    d00, d01, d11 = (ab * ab).sum(1), (ab * ac).sum(1), (ac * ac).sum(1)
+    d20, d21 = (ap * ab).sum(1), (ap * ac).sum(1)
+    area = np.maximum(d00 * d11 - d01**2, 1e-30)
+    v, w = (d11 * d20 - d01 * d21) / area, (d00 * d21 - d01 * d20) / area
+    inside = np.stack([1 - v - w, v, w], axis=1)
+    inside[(inside < 0).any(axis=1)] = np.nan
+    candidates = [inside]
+    for first, second in ((0, 1), (1, 2), (2, 0)):
+        side = corners[:, second] - corners[:, first]
+        along = ((point - corners[:, first]) * side).sum(1) / np.maximum((side**2).sum(1), 1e-30)
+        along = np.clip(along, 0.0, 1.0)
+        weights = np.zeros((len(corners), 3))
+        weights[:, first], weights[:, second] = 1 - along, along
+        candidates.append(weights)
+    stack = np.stack(candidates)  # (4, F, 3)
+    places = np.einsum("kfc,fcd->kfd", stack, corners)
+    distance = np.square(places - point).sum(axis=2)
+    chosen = np.where(np.isnan(distance), np.inf, distance).argmin(axis=0)
+    return np.asarray(stack[chosen, np.arange(len(corners))])
+
+
+def _moves(points: Points, modes: Points) -> Points:
+    """(N, 3, 7 + K): how points (N, 3) move with rotation, translation, growth and the model's modes (K, N, 3)."""
+    moves = np.zeros((len(points), 3, 7 + len(modes)))
     x, y, z = points.T
     moves[:, 0, 1], moves[:, 0, 2] = z, -y  # omega x p
     moves[:, 1, 0], moves[:, 1, 2] = -z, x
@@ -173,14 +260,39 @@ def _solve(
     moves[:, [0, 1, 2], [3, 4, 5]] = 1.0
     moves[:, :, 6] = points
     moves[:, :, 7:] = modes.transpose(1, 2, 0)
+    return moves
+
+
+def _surface_rows(
+    points: Points, offset: Points, normals: Points, modes: Points
+) -> tuple[Points, Points]:
+    """Rows and values of the least squares that draw samples onto the template's surface."""
+    moves = _moves(points, modes)
     along = np.einsum("pdk,pd->pk", moves, normals)
-    rows = np.concatenate([along, _SLIDE * moves.reshape(3 * count, -1)]) / _NOISE_M
+    rows = np.concatenate([along, _SLIDE * moves.reshape(3 * len(points), -1)]) / _NOISE_M
     values = -np.concatenate([(offset * normals).sum(axis=1), _SLIDE * offset.ravel()]) / _NOISE_M
-    # Neighbouring samples see the same bumps, so all of them together count as a tenth.
-    normal_matrix, right = 0.1 * rows.T @ rows, 0.1 * rows.T @ values
-    prior = np.concatenate([np.full(7, 1e-3), np.ones(len(modes))])
+    return rows, values
+
+
+def _anchor_rows(places: Points, anchors: Anchors, modes: Points) -> tuple[Points, Points]:
+    """Rows and values that draw the anchors' places on the model to where they are known to be."""
+    weight = np.repeat(1 / anchors.deviation_m, 3)
+    rows = weight[:, None] * _moves(places, modes).reshape(3 * len(places), -1)
+    return rows, -weight * (places - anchors.positions).ravel()
+
+
+def _solve(
+    surface: tuple[Points, Points], held: tuple[Points, Points] | None, coefficients: Points
+) -> Points:
+    """Rotation (3), translation (3), growth (1) and change of the coefficients (K) of one round."""
+    prior = np.concatenate([np.full(7, 1e-3), np.ones(len(coefficients))])
+    normal_matrix, right = np.diag(prior), np.zeros(len(prior))
     right[7:] -= coefficients
-    return np.asarray(np.linalg.solve(normal_matrix + np.diag(prior), right), dtype=np.float64)
+    for rows, values in (surface,) if held is None else (surface, held):
+        # Neighbouring samples see the same bumps, so all of them together count as a tenth.
+        normal_matrix += 0.1 * rows.T @ rows
+        right += 0.1 * rows.T @ values
+    return np.asarray(np.linalg.solve(normal_matrix, right), dtype=np.float64)
 
 
 def region_masks(

@@ -96,22 +96,20 @@ class FaceRenderer:
         self._view = view or View()
         rest = sequence.upright(sequence.vertices)
         self._normals = NormalField(sequence.faces, len(rest))
-        with _opengl_messages():
-            pyvista = _import_pyvista()
-            self.plotter = pyvista.Plotter(off_screen=True, window_size=list(size))
+        self.plotter = off_screen_plotter(size)
+        try:
             if not self._view.smooth_edges:
                 self.plotter.render_window.SetMultiSamples(0)
-            try:
-                _check_window(self.plotter.render_window)
-                self._mesh = self._add_face(rest)
-                self._mouth: Mouth | None = None
-                if sequence.located and self._view.fill_openings:
-                    self._fill(find_cavities(rest, sequence.faces), rest)
-                aim_camera(self.plotter, rest, sequence.located, size, self._view)
+            self._mesh = self._add_face(rest)
+            self._mouth: Mouth | None = None
+            if sequence.located and self._view.fill_openings:
+                self._fill(find_cavities(rest, sequence.faces), rest)
+            aim_camera(self.plotter, rest, sequence.located, size, self._view)
+            with _opengl_messages():
                 self.plotter.show(auto_close=False, interactive=False)
-            except BaseException:
-                self.plotter.close()
-                raise
+        except BaseException:
+            self.plotter.close()
+            raise
 
     def _add_face(self, rest: Points) -> pyvista.PolyData:
         import pyvista
@@ -234,6 +232,25 @@ def _add_lights(plotter: pyvista.Plotter, center: NDArray[np.float64], scale: fl
         if not glossy:
             light.specular_color = "black"  # highlights of the rim light sparkle where lips meet
         plotter.add_light(light)
+
+
+def off_screen_plotter(size: tuple[int, int]) -> pyvista.Plotter:
+    """An empty scene that is drawn without a display.
+
+    Args:
+        size: (width, height) in pixels.
+
+    Raises:
+        RuntimeError: No off-screen OpenGL could be started.
+    """
+    with _opengl_messages():
+        plotter = _import_pyvista().Plotter(off_screen=True, window_size=list(size))
+        try:
+            _check_window(plotter.render_window)
+        except BaseException:
+            plotter.close()
+            raise
+    return plotter
 
 
 def check_off_screen() -> None:
