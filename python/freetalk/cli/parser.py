@@ -298,46 +298,17 @@ def _add_data(commands: Any) -> None:
 
 
 def _add_mesh(commands: Any) -> None:
-    _, nested = _group(commands, "mesh", "look into mesh files")
+    from freetalk.cli.mesh_options import add_landmarks
+
+    _, nested = _group(commands, "mesh", "look into mesh files, find faces on them")
     parser = _command(nested, "check", "mesh:check", "report counts, size, unit and pose of a mesh")
     parser.add_argument("file", metavar="FILE", help="OBJ, PLY, OFF, STL or glTF")
     _add_pose(parser)
     _add_pretrained(parser)
-    _add_mesh_landmarks(nested)
-
-
-def _add_mesh_landmarks(nested: Any) -> None:
     parser = _command(
-        nested,
-        "landmarks",
-        "mesh_landmarks:run",
-        "find the 68 landmarks of a mesh",
-        description=(
-            "Finds the face on a mesh of any meshing, unit and pose, a whole character too, and writes where "
-            "its 68 landmarks (iBUG order) lie, with confidences, as JSON for 'freetalk animate --landmarks' "
-            "and for datasets of that template. Pictures of the mesh are looked at (extra 'faces'), then the "
-            "built-in face is fitted; without them, its shape alone counts. Look at the picture, then "
-            "correct: --start FILE --set 48=1532."
-        ),
+        nested, "landmarks", "mesh_landmarks:run", "find the 68 landmarks of a mesh"
     )
-    parser.add_argument("file", metavar="FILE", help="OBJ, PLY, OFF, STL or glTF")
-    parser.add_argument("--out", default="landmarks68.json", metavar="JSON", help="where to write")
-    parser.add_argument("--picture", metavar="PNG", help="also draw them with their numbers")
-    parser.add_argument(
-        "--masks", action="store_true", help="also write lip_mask.json and upper_mask.json beside"
-    )
-    parser.add_argument(
-        "--pictures",
-        choices=("auto", "yes", "no"),
-        default="auto",
-        help="look at pictures of the mesh; auto: where the extra is installed",
-    )
-    parser.add_argument(
-        "--start", metavar="FILE", help="landmarks to correct instead of those found"
-    )
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="N=VERTEX", help="correct one; repeatable"
-    )
+    add_landmarks(parser)
     _add_pose(parser)
     _add_pretrained(parser)
 

@@ -1,0 +1,43 @@
+"""Options of ``freetalk mesh`` and of commands that are told where a face is."""
+
+from __future__ import annotations
+
+import argparse
+
+
+def add_landmarks(parser: argparse.ArgumentParser) -> None:
+    """Adds those of ``freetalk mesh landmarks``."""
+    parser.description = (
+        "Finds the face on a mesh of any meshing, unit and pose, a whole character too, and writes where "
+        "its 68 landmarks (iBUG order) lie, with confidences, as JSON for 'freetalk animate --landmarks' "
+        "and for datasets of that template. Pictures of the mesh are looked at (extra 'faces'), then the "
+        "built-in face is fitted; without them, its shape alone counts. Look at the picture, then "
+        "correct: --start FILE --set 48=1532."
+    )
+    parser.add_argument("file", metavar="FILE", help="OBJ, PLY, OFF, STL or glTF")
+    parser.add_argument("--out", default="landmarks68.json", metavar="JSON", help="where to write")
+    parser.add_argument("--picture", metavar="PNG", help="also draw them with their numbers")
+    parser.add_argument(
+        "--masks", action="store_true", help="also write lip_mask.json and upper_mask.json beside"
+    )
+    parser.add_argument(
+        "--pictures",
+        choices=("auto", "yes", "no"),
+        default="auto",
+        help="look at pictures of the mesh; auto: where the extra is installed",
+    )
+    parser.add_argument(
+        "--start", metavar="FILE", help="landmarks to correct instead of those found"
+    )
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="N=VERTEX", help="correct one; repeatable"
+    )
+
+
+def add_where(parser: argparse.ArgumentParser) -> None:
+    """Adds what tells where the face of a mesh is."""
+    parser.add_argument(
+        "--landmarks",
+        metavar="FILE",
+        help="where the face is: its 68 landmarks, as 'freetalk mesh landmarks' writes them",
+    )
