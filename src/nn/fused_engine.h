@@ -166,7 +166,13 @@ class FusedEngine final : public FusedDiffusion::Engine {
     }
   }
 
-  /// The basis less its mean over each tile, and those means in two parts, exact to 2^-16.
+  void in_two_parts(const at::Tensor& x, std::vector<T>* parts) const {
+    const at::Tensor rounded = x.to(at::kBFloat16).to(at::kFloat);
+    parts[0] = rows_of(rounded);
+    parts[1] = rows_of(x - rounded);
+  }
+
+  /// The basis less its mean over each tile, and those means, in two parts each, exact to 2^-16.
   void centre(const at::Tensor& evecs) {
     at::Tensor rest = at::empty({vertices_, modes_}, at::kFloat);
     at::Tensor means = at::zeros({tiles_, modes_}, at::kFloat);
@@ -176,10 +182,8 @@ class FusedEngine final : public FusedDiffusion::Engine {
       means[tile].copy_(wide.narrow(0, first, rows).mean(0));
       rest.narrow(0, first, rows).copy_(wide.narrow(0, first, rows) - means[tile]);
     }
-    centred_ = rows_of(rest);
-    const at::Tensor rounded = means.to(at::kBFloat16).to(at::kFloat);
-    means_[0] = rows_of(rounded);
-    means_[1] = rows_of(means - rounded);
+    in_two_parts(rest, centred_);
+    in_two_parts(means, means_);
   }
 
   /// The mass-weighted basis, grouped; modes_ need not be a multiple of the vector.
@@ -358,9 +362,14 @@ class FusedEngine final : public FusedDiffusion::Engine {
       }
       for (int64_t tile = 0; tile < tiles_; ++tile) {
         const int64_t v = tile * kTile;
-        const float* centre = kCentred ? work.centres.data() + tile * stride : nullptr;
-        multiply_parts({(kCentred ? centred_ : basis_).data() + v * modes_}, parts,
-                       std::min(kTile, vertices_ - v), centre, work.fields.data() + v * stride);
+        const int64_t rows = std::min(kTile, vertices_ - v), at = v * modes_;
+        float* fields = work.fields.data() + v * stride;
+        if constexpr (kCentred) {
+          multiply_parts({centred_[0].data() + at, centred_[1].data() + at}, parts, rows,
+                         work.centres.data() + tile * stride, fields);
+        } else {
+          multiply_parts({basis_.data() + at}, parts, rows, nullptr, fields);
+        }
       }
       kernels_.gradient_features(gradient, work.fields.data(), work.z.data() + first, columns_);
     }
@@ -402,7 +411,7 @@ class FusedEngine final : public FusedDiffusion::Engine {
   MeshRows mesh_;
   int64_t vertices_, tiles_, width_, outputs_, columns_, modes_, heads_ = 0, head_columns_ = 0;
   int64_t head_width_ = 0, value_columns_ = 0, attended_row_ = 0;
-  std::vector<T> basis_, centred_, means_[2], weighted_, mixing_;
+  std::vector<T> basis_, centred_[2], means_[2], weighted_, mixing_;
   std::vector<std::vector<T>> queries_;
   std::vector<Block> blocks_;
   at::Tensor base_, last_weight_, last_bias_;
