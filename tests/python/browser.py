@@ -43,7 +43,7 @@ class Visit:
         self,
         browser: Any,
         address: str,
-        size: tuple[int, int] = (640, 480),
+        size: tuple[int, int] = (900, 560),
         theme: str = "dark",
         **settings: Any,
     ) -> None:

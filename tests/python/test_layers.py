@@ -46,6 +46,7 @@ PYTHON_LAYERS: dict[str, int] = {
     "video": 2,
     "evaluate": 3,
     "tables": 4,
+    "serve": 4,
     "cli": 5,
 }
 # Upward uses that are meant: imported inside a function, only when that function is asked for.

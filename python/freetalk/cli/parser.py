@@ -79,6 +79,7 @@ def make_parser() -> Parser:
     _add_mesh(commands)
     _add_speech(commands)
     _add_view(commands)
+    _add_serve(commands)
     _add_models(commands)
     return parser
 
@@ -366,6 +367,29 @@ def _add_view(commands: Any) -> None:
         "--size", type=picture_size, default="720x720", help="pixels of picture and video"
     )
     parser.add_argument("--yaw", type=float, default=12.0, help="degrees the camera stands aside")
+
+
+def _add_serve(commands: Any) -> None:
+    parser = _command(
+        commands,
+        "serve",
+        "serve:run",
+        "a page to animate faces with: speech and mesh in, takes to direct, compare and download",
+        description=(
+            "Opens a page in the browser: drop in speech or record it, choose a face, direct the emotion over time, "
+            "make several takes, compare them and download them, or speak and see the face live. It is reachable "
+            "from this machine alone unless --host says otherwise, and by those who have its address "
+            "(pip install '.[serve]')."
+        ),
+    )
+    mesh_help = "face to begin with: OBJ, PLY, OFF, STL, glTF; without it the built-in mean face"
+    parser.add_argument("--mesh", metavar="FILE", help=mesh_help)
+    parser.add_argument("--audio", metavar="FILE", help="speech to begin with")
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
+    parser.add_argument("--port", type=natural, help="by default any that is free")
+    parser.add_argument("--max-upload-mb", type=natural, default=64, help="largest file it takes")
+    parser.add_argument("--no-browser", action="store_true", help="print the address only")
+    _add_pretrained(parser)
 
 
 def _add_models(commands: Any) -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from freetalk.page.document import render_page
+from freetalk.page.document import render_page, render_studio
 from freetalk.page.expression import arkit_curves, find_landmarks
 from freetalk.page.motion import PackedMotion, pack_motion, unpack_motion
 from freetalk.page.save import make_page, save_page
-from freetalk.page.take import pack_take, read_take
+from freetalk.page.take import pack_rig, pack_take, read_take
 from freetalk.page.viewing import PageServer
 
 __all__ = [
@@ -16,9 +16,11 @@ __all__ = [
     "find_landmarks",
     "make_page",
     "pack_motion",
+    "pack_rig",
     "pack_take",
     "read_take",
     "render_page",
+    "render_studio",
     "save_page",
     "unpack_motion",
 ]

@@ -16,6 +16,7 @@ _SCRIPTS = (
     *("math.js", "take.js", "scene.js", "player.js", "timeline.js", "curves.js"),
     *("record.js", "app.js", "main.js"),
 )
+_PANELS = "<!--panels-->"
 _OFFLINE = "connect-src 'none'"
 
 
@@ -36,7 +37,15 @@ def render_page(
         f'<script type="application/octet-stream" class="take">{base64.b64encode(take).decode()}</script>'
         for take in takes
     )
-    return _fill(blobs, title, dict(settings or {}), _SCRIPTS, _OFFLINE)
+    page = _fill(blobs, title, dict(settings or {}), _SCRIPTS, _OFFLINE)
+    return page.replace(_PANELS, "", 1)
+
+
+def render_studio(title: str) -> str:
+    """The page that a server shows: without takes of its own, it may talk to where it came from."""
+    scripts = (*_SCRIPTS[:-1], "pad.js", "sound.js", "live.js", "studio.js")
+    page = _fill("", title, {}, scripts, "connect-src 'self'")
+    return page.replace(_PANELS, _asset("studio.html"), 1)
 
 
 def _fill(

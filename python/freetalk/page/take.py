@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freetalk.animation import Animation
-from freetalk.page.motion import pack_motion
+from freetalk.page.motion import PackedMotion, pack_motion
 from freetalk.viz.appearance import vertex_colors
 from freetalk.viz.cavities import find_cavities
 from freetalk.viz.renderer import FACE_BOX
@@ -70,19 +70,9 @@ def pack_take(
     rest = sequence.upright(sequence.vertices)
     motion = pack_motion(sequence.displacements, sequence.upright_matrix[:3, :3], tolerance_mm)
     writer = _Writer()
-    writer.add("rest", rest)
-    writer.add("targets", motion.targets)
-    writer.add("weights", motion.weights)
-    header: dict[str, Any] = {
-        "name": name,
-        "fps": sequence.fps,
-        "frames": sequence.num_frames,
-        "step_m": motion.step_m,
-        "error_mm": motion.error_mm,
-        "framing": _framing(rest, sequence.located),
-        "phones": [[float(start), float(end), str(label)] for start, end, label in phones],
-        "facts": facts or {},
-    }
+    header = _begin(writer, sequence, rest, motion, name)
+    header["phones"] = [[float(start), float(end), str(label)] for start, end, label in phones]
+    header["facts"] = facts or {}
     if texture is not None:
         header["texture"] = _add_texture(writer, animation, sequence, Path(texture))
     else:
@@ -105,6 +95,50 @@ def pack_take(
     if sequence.located:
         header |= _add_cavities(writer, rest, sequence.faces)
     return writer.bytes(header)
+
+
+def pack_rig(
+    still: Sequence, targets: NDArray[np.float32], names: Listing[str], name: str = ""
+) -> bytes:
+    """Packs a face that a live stream moves: one still frame, and the targets of its weights.
+
+    Args:
+        still: the resting face, aligned.
+        targets: (W, V, 3) metres, upright: what each weight adds at one.
+        names: of the weights; those of the correctives are not shown.
+        name: what the page calls it.
+
+    Returns:
+        As :func:`pack_take`.
+    """
+    rest = still.upright(still.vertices)
+    step_m = max(float(np.abs(targets).max(initial=0.0)) / 32767, 2e-6)
+    packed = np.rint(targets / step_m).astype(np.int16)
+    motion = PackedMotion(packed, np.zeros((1, len(packed)), np.uint16), step_m, 500 * step_m)
+    writer = _Writer()
+    header = _begin(writer, still, rest, motion, name)
+    shapes = [shape for shape in names if not shape.startswith("corrective_")]
+    header |= {"phones": [], "facts": {}, "painted": False, "live": shapes}
+    writer.add("faces", still.faces.astype(np.uint32))
+    writer.add("colors", vertex_colors(rest, still.faces))
+    return writer.bytes(header | _add_cavities(writer, rest, still.faces))
+
+
+def _begin(
+    writer: _Writer, sequence: Sequence, rest: NDArray[np.float32], motion: PackedMotion, name: str
+) -> dict[str, Any]:
+    """Writes the rest pose and the motion; returns what the header says of them."""
+    writer.add("rest", rest)
+    writer.add("targets", motion.targets)
+    writer.add("weights", motion.weights)
+    return {
+        "name": name,
+        "fps": sequence.fps,
+        "frames": sequence.num_frames,
+        "step_m": motion.step_m,
+        "error_mm": motion.error_mm,
+        "framing": _framing(rest, sequence.located),
+    }
 
 
 def read_take(packed: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:

@@ -7,7 +7,8 @@ const element = (id) => document.getElementById(id);
 const icon = (button, name) => button.querySelector("use").setAttribute("href", `#i-${name}`);
 
 class App {
-  constructor(settings) {
+  /** Further tabs come before those that every page has. */
+  constructor(settings, tabs = []) {
     this.settings = settings;
     this.takes = [];
     this.shown = [];
@@ -26,9 +27,8 @@ class App {
     element("title").textContent = settings.title;
     this.setTheme(this.storedTheme());
     this.drawScale();
-    this.addTab("view", "View");
-    this.addTab("shapes", "Shapes");
-    this.addTab("about", "About");
+    for (const [name, text] of [...tabs, ["view", "View"], ["shapes", "Shapes"], ["about", "About"]]) this.addTab(name, text);
+    this.openTab(tabs.length ? tabs[0][0] : "view");
     this.connectControls();
     this.connectView();
     document.addEventListener("keydown", (event) => this.key(event));
@@ -41,8 +41,16 @@ class App {
 
   add(take) {
     this.takes.push(take);
-    take.letter = LETTERS[this.takes.indexOf(take) % LETTERS.length];
+    take.letter = [...LETTERS].find((letter) => this.takes.every((other) => other.letter !== letter)) || "+";
     this.listTakes();
+  }
+
+  remove(take) {
+    this.takes.splice(this.takes.indexOf(take), 1);
+    this.scene.surfaces.delete(take);
+    this.player.buffers.delete(take);
+    if (this.look.truth === take) this.setTruth(null);
+    this.show(this.shown.filter((other) => other !== take));
   }
 
   listTakes() {
@@ -234,7 +242,6 @@ class App {
     button.setAttribute("aria-controls", `tab-${name}`);
     button.addEventListener("click", () => this.openTab(name));
     element("tabs").append(button);
-    if (element("tabs").children.length === 1) this.openTab(name);
   }
 
   openTab(name) {
@@ -421,7 +428,7 @@ class App {
     }
   }
 
-  say(text, offer = null) {
+  say(text, offer = null, stays = offer !== null) {
     const notice = element("notice");
     notice.replaceChildren(text);
     if (offer) {
@@ -431,7 +438,7 @@ class App {
     }
     notice.hidden = false;
     clearTimeout(this.noticeTimer);
-    if (!offer) this.noticeTimer = setTimeout(() => (notice.hidden = true), 3500);
+    if (!stays) this.noticeTimer = setTimeout(() => (notice.hidden = true), 3500);
   }
 
   fail(text) {

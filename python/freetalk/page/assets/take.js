@@ -68,8 +68,8 @@ class Take {
     this.numTargets = this.weights.length / this.frames;
     this.positions = this.rest.slice();
     this.normals = new Float32Array(this.rest.length);
-    this.shown = -1; // frame number of positions, fractional
-    this.live = null; // weights of a frame of a live stream
+    this.shown = -1; // frame number of positions, fractional; of a live stream, how many were shown
+    if (header.live) this.updateNormals();
   }
 
   get motionSeconds() { return this.frames / this.fps; }
@@ -77,6 +77,7 @@ class Take {
 
   /** Moves positions and normals to a time; true where they changed. */
   moveTo(seconds) {
+    if (this.header.live) return false; // its stream moves it
     const frame = clamp(seconds * this.fps, 0, this.frames - 1);
     if (frame === this.shown) return false;
     this.shown = frame;
