@@ -302,7 +302,7 @@ def test_evaluate_passes_everything_on(
         seen.update(dataset=dataset, weights=weights, **options)
         return {"opening": 0.5}
 
-    monkeypatch.setattr(data, "open_dataset", str)
+    monkeypatch.setattr(data, "open_datasets", str)
     monkeypatch.setattr(scores_of, "measure", measure)
     options = ["--data", str(tmp_path), "--pretrained", str(room / "weights"), "--parts", "ats"]
     scores = tmp_path / "scores.json"

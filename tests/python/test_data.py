@@ -169,6 +169,10 @@ def test_a_clip_is_the_take_from_there_on(folder: Path) -> None:
         part.audio(clip), wave[round(20 / 30 * 16000) : round(50 / 30 * 16000)]
     )
     assert part.fingerprint != corpus.fingerprint
+    spoken = corpus.sequences("train", ["synthetic"])[0].clip("later", 18, 30)
+    found = corpus.select([spoken]).phones(spoken)  # from 0.6 s to 1.6 s of the take
+    assert [label for _, _, label in found] == ["P", "AA"]
+    np.testing.assert_allclose([p[:2] for p in found], [(-0.1, 0.4), (0.4, 1.2)], atol=1e-9)
 
 
 # What is wrong

@@ -104,12 +104,20 @@ def test_anything_scores_perfectly_against_itself(kind: str, unit: str, tmp_path
 def test_a_dataset_scores_perfectly_against_its_own_files(name: str, tmp_path: Path) -> None:
     directory = write_scantalk(tmp_path / name, name, frames=30)
     (tmp_path / "pred").mkdir()
-    data = packed(directory)
+    data = packed(directory, name="own")
     for sequence in open_dataset(data).sequences("test"):
         path = next(directory.rglob(f"{sequence.id}.npy"))
         np.save(tmp_path / "pred" / path.name, np.load(path)[: sequence.num_frames])
     out = tmp_path / "scores.json"
-    given = ["evaluate", "--pred", tmp_path / "pred", "--gt", data, "--resamples", 50]
+    given = [
+        "evaluate",
+        "--pred",
+        tmp_path / "pred",
+        "--gt",
+        f"GT:scantalk={data}",
+        "--resamples",
+        50,
+    ]
     assert main([str(part) for part in [*given, "--out", out, "--metrics", "paper"]]) == 0
     found = values(json.loads(out.read_text()), "pred")
     # Packed vertices are float16, so within half a unit of the last of 11 digits of 6 mm.

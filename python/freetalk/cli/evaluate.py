@@ -30,20 +30,21 @@ def run(arguments: argparse.Namespace) -> None:
 
 def measure(arguments: argparse.Namespace) -> None:
     """Measures weights on the test split of a dataset and prints a table."""
+    from freetalk.data import open_datasets, parse_spec
+
     if len(arguments.out) > 1:
         raise UsageError("scores of weights are written to one --out")
-    folder = _folder(arguments.data)
+    _folder(parse_spec(arguments.data)[2])
     needed = {stage for part in arguments.parts for stage in _STAGES[part]}
     weights = find_stages(arguments.pretrained, sorted(needed))
     for file in arguments.audio:
         check_readable(file, "a recording of speech")
     for file in arguments.out:
         check_writable(Path(file))
-    from freetalk.data import open_dataset
     from freetalk.evaluate import weights as scores_of
 
     scores = scores_of.measure(
-        open_dataset(folder),
+        open_datasets(arguments.data),
         weights,
         parts=arguments.parts,
         take=arguments.take,
@@ -72,6 +73,7 @@ def score(arguments: argparse.Namespace) -> None:
     if (arguments.fps is not None and arguments.fps <= 0) or arguments.resamples < 1:
         raise UsageError("--fps and --resamples must be above 0")
     from freetalk import evaluate
+    from freetalk.data import parse_spec
     from freetalk.evaluate.masks import read_lip_pairs
     from freetalk.evaluate.motion_files import unit_scale
     from freetalk.evaluate.writers import FORMATS, terminal
@@ -81,8 +83,9 @@ def score(arguments: argparse.Namespace) -> None:
         if path.suffix.lower() not in FORMATS:
             raise ValueError(f"'{path}' does not say what to write: end it in {', '.join(FORMATS)}")
         check_writable(path)
+    _, scheme, folder = parse_spec(arguments.gt)
     truth = evaluate.open_ground_truth(
-        _folder(arguments.gt),
+        _folder(folder),
         evaluate.FolderSettings(
             unit=arguments.unit,
             kind=arguments.kind,
@@ -94,6 +97,7 @@ def score(arguments: argparse.Namespace) -> None:
         ),
         arguments.split,
         arguments.topology,
+        scheme,
     )
     masks = {**truth.masks, **evaluate.read_masks(arguments.masks, truth.num_vertices)}
     pairs = truth.lip_pairs

@@ -18,11 +18,11 @@ def run(arguments: argparse.Namespace) -> None:
     weights = find_stages(arguments.pretrained, needed)
     out = Path(arguments.out)
     check_writable(out, is_folder=True)
-    from freetalk.data import open_dataset
+    from freetalk.data import open_datasets
     from freetalk.evaluate.predict import PredictOptions, predict
 
     count = predict(
-        open_dataset(arguments.data),
+        open_datasets(arguments.data),
         weights,
         out,
         PredictOptions(

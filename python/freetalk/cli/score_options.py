@@ -35,7 +35,9 @@ def add_predict(parser: argparse.ArgumentParser) -> None:
         "Writes NAME.npz for each clip of a split, or NAME_sampleK.npz of several performances: displacements "
         "(T, V, 3) in metres, which 'freetalk evaluate --pred DIR --gt DATA' scores. A stopped call goes on."
     )
-    parser.add_argument("--data", required=True, metavar="DIR", help="a corpus or dataset")
+    parser.add_argument(
+        "--data", required=True, metavar="[NAME:SPLIT=]DIR", help="a corpus or dataset"
+    )
     parser.add_argument("--split", default="test", metavar="SPLIT", help="train, val or test")
     parser.add_argument(
         "--topology", metavar="NAME", help="of a dataset with several: a meshing, or landmarks"
@@ -62,7 +64,7 @@ def add_evaluate(parser: argparse.ArgumentParser) -> None:
         "of predictions as FaceFormer, CodeTalker, ScanTalk, EmoVOCA and 'freetalk predict' write "
         "them, with intervals and paired tests; the table names units and masks by count and hash."
     )
-    parser.add_argument("--data", metavar="DIR", help="a corpus or dataset")
+    parser.add_argument("--data", metavar="[NAME:SPLIT=]DIR", help="a corpus or dataset")
     _add_weights(parser)
     parts = ("stm", "ats", "emotions")
     parser.add_argument("--parts", nargs="+", choices=parts, default=list(parts), help="what")
@@ -95,7 +97,8 @@ def _add_inputs(group: argparse._ArgumentGroup) -> None:
         metavar="[NAME=]DIR",
         help="folders of .npy or .npz, a sequence a file: (T, V, 3) or (T, V * 3); several are compared",
     )
-    group.add_argument("--gt", metavar="DIR", help="ground truth: such a folder, or a dataset")
+    gt_help = "ground truth: such a folder, or a dataset, of which NAME:SPLIT= chooses the splits"
+    group.add_argument("--gt", metavar="[NAME:SPLIT=]DIR", help=gt_help)
     group.add_argument("--split", metavar="SPLIT", help="of a dataset; test if not given")
     group.add_argument(
         "--topology", metavar="NAME", help="of a dataset with several: a meshing, or landmarks"

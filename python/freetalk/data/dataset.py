@@ -265,8 +265,12 @@ class Dataset:
         return samples.astype(np.float32) / np.float32(FULL_SCALE)
 
     def phones(self, sequence: MotionSequence) -> list[tuple[float, float, str]]:
-        """Phones of a whole take as (start in s, end in s, ARPABET label); empty where none are known."""
-        return self.packs[sequence.dataset].phones(sequence.name)
+        """Phones as (start in s, end in s, ARPABET label); empty where none are known."""
+        first, length = sequence.offset / sequence.fps, sequence.num_frames / sequence.fps
+        known = self.packs[sequence.dataset].phones(sequence.name)
+        shifted = [(start - first, end - first, label) for start, end, label in known]
+        whole = sequence.offset == 0 and sequence.num_frames == sequence.stored_frames
+        return known if whole else [p for p in shifted if p[1] > 0 and p[0] < length]
 
     def identities(self, split: str | None = None) -> list[int]:
         """Indices of the faces of a split."""

@@ -102,7 +102,11 @@ class FolderSettings:
 
 
 def open_ground_truth(
-    path: Path, settings: FolderSettings, split: str | None = None, topology: str | None = None
+    path: Path,
+    settings: FolderSettings,
+    split: str | None = None,
+    topology: str | None = None,
+    scheme: str = "",
 ) -> GroundTruth:
     """A folder of ``.npy`` or ``.npz``, or whatever ``freetalk.data.open_dataset`` understands.
 
@@ -111,12 +115,13 @@ def open_ground_truth(
         settings: of a folder of motion; a dataset knows its own.
         split: of a dataset; ``test`` by default.
         topology: of a dataset with several meshings; ``landmarks`` for the 68 points.
+        scheme: name of a dataset's split scheme; empty for its first.
 
     Raises:
         ValueError, OSError: what is missing or wrong.
     """
     try:
-        return DatasetTruth(open_dataset(path), split or "test", topology)
+        return DatasetTruth(open_dataset(path, split=scheme), split or "test", topology)
     except LayoutError:
         if not motion_paths(path):
             raise
