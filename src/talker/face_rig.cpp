@@ -38,7 +38,7 @@ const rig::FaceRig& Face::State::rig(const std::function<void(double)>& progress
   std::call_once(lazy_rig->once, [&] {
     const torch::NoGradGuard no_grad;
     const rig::FaceRig::Decode decode = [this](const at::Tensor& landmarks) {
-      return decoder->decode(landmarks.to(device));
+      return decoder->fastest().decode(landmarks.to(device));
     };
     const auto& folder = options.cache_dir;
     lazy_rig->made = std::make_unique<const rig::FaceRig>(
