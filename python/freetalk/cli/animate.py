@@ -18,6 +18,7 @@ from freetalk.cli.weights import check_intensity, find_weights
 
 if TYPE_CHECKING:
     import freetalk
+    from freetalk.ats import Emotion
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,7 @@ def run(arguments: argparse.Namespace) -> None:
     report = Report(arguments.quiet)
 
     import freetalk
+    from freetalk.talker.voice import AUTO, summary
 
     @cache
     def talker() -> freetalk.Talker:
@@ -65,7 +67,12 @@ def run(arguments: argparse.Namespace) -> None:
                 faces = {job.mesh: prepare(talker, job.mesh, arguments, report)}
             seconds = len(audio.samples) / audio.sample_rate_hz
             report.line("speech", f"{job.audio.name}: {seconds:.2f} s")
-            write_all(animate(faces[job.mesh], audio, arguments, report), job, arguments, report)
+            emotion = arguments.emotion
+            if emotion == AUTO:
+                emotion = talker().read_emotion(audio)
+                report.line("emotion", f"of the voice: {summary(emotion)}")
+            animation = animate(faces[job.mesh], audio, emotion, arguments, report)
+            write_all(animation, job, arguments, report)
         except (ValueError, RuntimeError, OSError) as error:
             if len(jobs) == 1:
                 raise
@@ -138,11 +145,16 @@ def prepare(
 
 
 def animate(
-    face: freetalk.Face, audio: freetalk.Audio, arguments: argparse.Namespace, report: Report
+    face: freetalk.Face,
+    audio: freetalk.Audio,
+    emotion: Emotion,
+    arguments: argparse.Namespace,
+    report: Report,
 ) -> freetalk.Animation:
     """Generates the motion."""
-    names = ("emotion", "intensity", "fps", "seed", "blinks")
+    names = ("intensity", "fps", "seed", "blinks")
     options: dict[str, Any] = {name: getattr(arguments, name) for name in names}
+    options["emotion"] = emotion
     options |= diffusion_options(arguments)
     if hasattr(arguments, "tolerance_mm"):
         options["tolerance_mm"] = arguments.tolerance_mm

@@ -157,7 +157,7 @@ def _add_animate(commands: Any) -> None:
     )
     mesh_help = "face: OBJ, PLY, OFF, STL, glTF, or a folder; without it the built-in mean face"
     parser.add_argument("--mesh", metavar="PATH", help=mesh_help)
-    emotion_help = "a name such as neutral, happy or angry, a mixture, or keyframes (see above)"
+    emotion_help = "a name such as neutral, happy or angry, a mixture, keyframes (see above), or auto: that of the voice"
     parser.add_argument("--emotion", default="neutral", help=emotion_help)
     parser.add_argument("--intensity", type=at_least_one, metavar="X", help=_INTENSITY_HELP)
     parser.add_argument("--fps", type=positive, default=30.0, help="frames per second")
@@ -306,9 +306,7 @@ def _add_mesh(commands: Any) -> None:
     parser.add_argument("file", metavar="FILE", help="OBJ, PLY, OFF, STL or glTF")
     _add_pose(parser)
     _add_pretrained(parser)
-    parser = _command(
-        nested, "landmarks", "mesh_landmarks:run", "find the 68 landmarks of a mesh"
-    )
+    parser = _command(nested, "landmarks", "mesh_landmarks:run", "find the 68 landmarks of a mesh")
     add_landmarks(parser)
     _add_pose(parser)
     _add_pretrained(parser)

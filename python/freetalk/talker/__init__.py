@@ -17,7 +17,9 @@ from freetalk.audio import Audio, load_audio
 from freetalk.geometry import Alignment, AlignOptions
 from freetalk.mesh import Mesh, load_mesh
 from freetalk.rig import FaceRig
+from freetalk.speech.voice_emotion import Keyframe
 from freetalk.talker.live import Live, LiveFrame
+from freetalk.talker.voice import Voice
 
 AnimateOptions = _native.talker.AnimateOptions
 FaceOptions = _native.talker.FaceOptions
@@ -49,8 +51,9 @@ class Talker:
     the mesh alone once, for many clips. After :meth:`animate`, :attr:`report` says what was guessed and measured.
     """
 
-    def __init__(self, native: Any) -> None:
+    def __init__(self, native: Any, voice: Voice) -> None:
         self._native = native
+        self._voice = voice
         self._report: Report | None = None
 
     @classmethod
@@ -68,7 +71,7 @@ class Talker:
             RuntimeError: a file is missing, broken or does not fit.
         """
         folder = find_weights(name_or_dir)
-        return cls(_native.talker.Talker.from_pretrained(folder, device))
+        return cls(_native.talker.Talker.from_pretrained(folder, device), Voice(folder))
 
     @property
     def emotions(self) -> list[str]:
@@ -90,6 +93,15 @@ class Talker:
     def report(self) -> Report | None:
         """Alignment, parts, notices and timings of the last :meth:`animate` of this object, by any thread."""
         return self._report
+
+    def read_emotion(self, audio: Audio | str | os.PathLike[str]) -> list[Keyframe]:
+        """The emotion of a voice over time, as ``emotion="auto"`` shows it; neutral where it is unsure.
+
+        Raises:
+            ValueError: the weights have no ``voice_emotion.json``.
+            RuntimeError: the file cannot be read.
+        """
+        return self._voice.read(_audio(audio))
 
     def align(
         self,
@@ -128,7 +140,8 @@ class Talker:
         """
         wanted = FaceOptions(**_with_cache(options))
         with StageProgress(progress, _PREPARATION) as bar:
-            return Face(self._native.prepare(_mesh(mesh), options=wanted, progress=bar.update))
+            native = self._native.prepare(_mesh(mesh), options=wanted, progress=bar.update)
+            return Face(native, self._voice)
 
     def animate(
         self,
@@ -146,7 +159,7 @@ class Talker:
             mesh: face or head, or the path of an OBJ, PLY, OFF, STL or glTF file.
             emotion: a name ``"happy"``; a mixture ``{"happy": 0.7, "surprise": 0.3}``; or keyframes
                 ``[(0.0, "neutral", 1), (2.5, {"happy": 0.7, "surprise": 0.3}, 2.5)]`` of seconds,
-                mixture and intensity, linear in between.
+                mixture and intensity, linear in between; or ``"auto"``: what the voice sounds like.
             progress: as for :meth:`prepare`.
             options: further fields of ``TalkerOptions``: intensity, fps, seed, sampler ("ddim", "ddpm",
                 "dpmpp"), num_steps, eta, audio_guidance, affect_guidance, mouth_temperature, blinks, tolerance_mm,
@@ -159,8 +172,9 @@ class Talker:
             ValueError: unknown emotion (the message lists the known), option out of range, empty input.
             RuntimeError: a file cannot be read.
         """
-        wanted = TalkerOptions(emotion=emotion_text(emotion), **_with_cache(options))
         sound, surface = _audio(audio), _mesh(mesh)
+        shown = emotion_text(self._voice.resolved(emotion, sound))
+        wanted = TalkerOptions(emotion=shown, **_with_cache(options))
         with StageProgress(progress, _PREPARATION, _PERFORMANCE) as bar:
             native, self._report = self._native.animate(sound, surface, wanted, bar.update)
         return Animation._wrap(native)
@@ -192,8 +206,9 @@ class Talker:
             ValueError: as :meth:`animate`, or no seeds.
             RuntimeError: a file cannot be read.
         """
-        wanted = TalkerOptions(emotion=emotion_text(emotion), **_with_cache(options))
         sound, surface = _audio(audio), _mesh(mesh)
+        shown = emotion_text(self._voice.resolved(emotion, sound))
+        wanted = TalkerOptions(emotion=shown, **_with_cache(options))
         with StageProgress(progress, _PREPARATION, _PERFORMANCE) as bar:
             natives, self._report = self._native.animate_many(
                 sound, surface, seeds=list(seeds), options=wanted, progress=bar.update
@@ -204,8 +219,9 @@ class Talker:
 class Face:
     """A mesh made ready to speak by :meth:`Talker.prepare`; any number of threads may share it."""
 
-    def __init__(self, native: Any) -> None:
+    def __init__(self, native: Any, voice: Voice) -> None:
         self._native = native
+        self._voice = voice
 
     @property
     def mesh(self) -> Mesh:
@@ -266,10 +282,12 @@ class Face:
         **options: Any,
     ) -> tuple[Animation, Report]:
         """As :meth:`animate`, with notices, decoded frames and timings beside."""
-        wanted = AnimateOptions(emotion=emotion_text(emotion), **options)
+        sound = _audio(audio)
+        shown = emotion_text(self._voice.resolved(emotion, sound))
+        wanted = AnimateOptions(emotion=shown, **options)
         with StageProgress(progress, _PERFORMANCE) as bar:
             native, report = self._native.animate(
-                _audio(audio), options=wanted, progress=bar.update, out=out
+                sound, options=wanted, progress=bar.update, out=out
             )
         return Animation._wrap(native), report
 
@@ -300,10 +318,12 @@ class Face:
             ValueError: as :meth:`animate`, or no seeds.
             RuntimeError: a file cannot be read.
         """
-        wanted = AnimateOptions(emotion=emotion_text(emotion), **options)
+        sound = _audio(audio)
+        shown = emotion_text(self._voice.resolved(emotion, sound))
+        wanted = AnimateOptions(emotion=shown, **options)
         with StageProgress(progress, _PERFORMANCE) as bar:
             natives, _ = self._native.animate_many(
-                _audio(audio), seeds=list(seeds), options=wanted, progress=bar.update, out=out
+                sound, seeds=list(seeds), options=wanted, progress=bar.update, out=out
             )
         return [Animation._wrap(native) for native in natives]
 
