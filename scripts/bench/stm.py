@@ -2,10 +2,10 @@
 """Times STM's decoding of frames against the public DiffusionNet's layers, both in turns within one run.
 
 The other side is the network written out in plain PyTorch (tests/python/plain_nets.py): mesh features computed
-once, landmarks attended to, [f, g, c] concatenated, frames batched by eight, gradients as sparse products.
-Medians are printed, of the time that passes and of the processors' time, which other programs on the machine
-disturb less. Weights are the paper's size and drawn at random, last layer and diffusion times included, or the
-shipped ones. Run on an idle machine:
+once, landmarks attended to, [f, g, c] concatenated, frames batched by eight, gradients as sparse products; for
+bfloat16 under autocast, those products in float32. Medians are printed, of the time that passes and of the
+processors' time, which other programs on the machine disturb less. Weights are the paper's size and drawn at
+random, last layer and diffusion times included, or the shipped ones. Run on an idle machine:
 
     python scripts/bench/stm.py                      # speed at 5,023 vertices, float32 and bfloat16
     python scripts/bench/stm.py --weights shipped    # the same with the shipped weights
@@ -67,12 +67,26 @@ def make_model(weights: str) -> Stm:
     return model.eval()
 
 
+class Float32Product:
+    """A sparse matrix that stays float32 under autocast: PyTorch multiplies none in bfloat16 on a CPU."""
+
+    def __init__(self, matrix: torch.Tensor) -> None:
+        self.matrix = matrix
+
+    def __matmul__(self, x: torch.Tensor) -> torch.Tensor:
+        with torch.autocast("cpu", enabled=False):
+            return self.matrix @ x.float()
+
+
 class PlainDecoder:
     """Eq. 13-14 and the decoder as public layers, frames in batches."""
 
     def __init__(self, model: Stm, positions: torch.Tensor, operators: Any) -> None:
         o = model.options
-        self.options, self.mesh = o, plain_mesh(operators, torch.float32)
+        self.options = o
+        self.mesh: dict[str, Any] = plain_mesh(operators, torch.float32)
+        for name in ("grad_x", "grad_y"):
+            self.mesh[name] = Float32Product(self.mesh[name])
         self.state = {name: value.detach() for name, value in model.state_dict().items()}
         self.model = model
         channels = o.feature_dim + 204 + o.attention_dim
@@ -167,7 +181,15 @@ def speed(arguments: argparse.Namespace) -> None:
         precision: model.frame_decoder(mesh, operators, precision=precision)
         for precision in ("float32", "bfloat16")
     }
-    sides: dict[str, Callable[[], Any]] = {"plain": lambda: plain.decode(landmarks)}
+
+    @torch.autocast("cpu", torch.bfloat16)
+    def rounded() -> torch.Tensor:
+        return plain.decode(landmarks).float()
+
+    sides: dict[str, Callable[[], Any]] = {
+        "plain": lambda: plain.decode(landmarks),
+        "plain bf16": rounded,
+    }
     for name, decoder in fast.items():
         sides[name] = lambda decoder=decoder: decoder.decode(landmarks)  # type: ignore[misc]
     medians = in_turns(sides, arguments.rounds)
@@ -175,13 +197,14 @@ def speed(arguments: argparse.Namespace) -> None:
     print(f"{arguments.vertices} vertices, {arguments.weights} weights, {arguments.frames} frames, "
           f"{torch.get_num_threads()} threads")  # fmt: skip
     for name, (seconds, processors) in medians.items():
-        line = f"{name:9} {arguments.frames / seconds:6.1f} frames/s"
+        line = f"{name:10} {arguments.frames / seconds:6.1f} frames/s"
         line += f"  {1000 * processors / arguments.frames:6.1f} ms of processors a frame"
         if name in fast:
             error = (fast[name].decode(landmarks) - exact).norm(dim=-1).mean()
             relative = float(error / exact.norm(dim=-1).mean())
-            plain_seconds, plain_processors = medians["plain"]
-            line += f"  {plain_seconds / seconds:5.2f} x, {plain_processors / processors:5.2f} x"
+            peer = "plain" if name == "float32" else "plain bf16"
+            plain_seconds, plain_processors = medians[peer]
+            line += f"  {plain_seconds / seconds:5.2f} x, {plain_processors / processors:5.2f} x of {peer}"
             line += f"  error {100 * relative:.4f} % of motion"
         print(line)
 
