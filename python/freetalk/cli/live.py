@@ -12,13 +12,15 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 
 from freetalk.cli.animate import Report, built_in_face
+from freetalk.cli.live_out import PacedFrames
 from freetalk.cli.outputs import check_readable
 from freetalk.cli.weights import check_intensity, find_weights
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from freetalk.talker import Face
+    from freetalk.talker import Face, LiveFrame
+    from freetalk.talker.senders import Sender
 
 RATE_HZ = 16000
 BLOCK_S = 0.02
@@ -34,6 +36,9 @@ def run(arguments: argparse.Namespace) -> None:
     blocks = open_source(arguments.audio)
 
     import freetalk
+    from freetalk.talker.senders import open_sender
+
+    senders = [open_sender(address) for address in arguments.to]
 
     report = Report(quiet=False)
     mesh = freetalk.load_mesh(mesh_file) if mesh_file is not None else built_in_face()
@@ -43,25 +48,42 @@ def run(arguments: argparse.Namespace) -> None:
         report.line("note", notice, timed=False)
     report.line("prepared", f"{len(mesh.vertices)} vertices; {face.report.parts}")
     try:
-        play(face, blocks, arguments, report)
+        play(face, blocks, arguments, report, senders)
     except KeyboardInterrupt:
         report.line("stopped", "from the keyboard", timed=False)
 
 
 def play(
-    face: Face, blocks: Iterator[NDArray[np.float32]], arguments: argparse.Namespace, report: Report
+    face: Face,
+    blocks: Iterator[NDArray[np.float32]],
+    arguments: argparse.Namespace,
+    report: Report,
+    senders: list[Sender],
 ) -> None:
     """Runs the stream until the source ends."""
     live = face.live(emotion=arguments.emotion, intensity=arguments.intensity, seed=arguments.seed)
     meter = Meter(report, live.latency_s)
-    for block in blocks:
-        meter.heard(len(block) / RATE_HZ)
-        frames = live.push(block)
-        if arguments.vertices:
-            for frame in frames:
-                live.decode(frame)
+    out = PacedFrames(senders, face.rig(), live.latency_s) if senders else None
+
+    def use(frames: list[LiveFrame]) -> None:
+        if out is not None:
+            out.add(frames)
         meter.made([frame.time_s for frame in frames])
-    meter.made([frame.time_s for frame in live.finish()])
+
+    try:
+        for block in blocks:
+            meter.heard(len(block) / RATE_HZ)
+            if out is not None:
+                out.heard(len(block) / RATE_HZ)
+            frames = live.push(block)
+            if arguments.vertices:
+                for frame in frames:
+                    live.decode(frame)
+            use(frames)
+        use(live.finish())
+    finally:
+        if out is not None:
+            out.close()
     meter.end()
 
 

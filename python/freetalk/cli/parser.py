@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from freetalk.cli.motion_options import DEFAULT_WEIGHTS, add_decoding, add_device, add_diffusion
-from freetalk.cli.numbers import at_least_one, natural, positive, seed
+from freetalk.cli.numbers import at_least_one, positive, seed
 from freetalk.cli.score_options import add_evaluate, add_predict
 
 UNITS = ("auto", "m", "cm", "mm", "in")
@@ -78,8 +78,7 @@ def make_parser() -> Parser:
     _add_data(commands)
     _add_mesh(commands)
     _add_speech(commands)
-    _add_view(commands)
-    _add_serve(commands)
+    _add_pages(commands)
     _add_models(commands)
     return parser
 
@@ -186,8 +185,12 @@ def _add_live(commands: Any) -> None:
             "--audio - --mesh face.obj'."
         ),
     )
+    source = parser.add_mutually_exclusive_group()
     audio_help = "a recording, or '-' for samples on stdin; without it the microphone"
-    parser.add_argument("--audio", metavar="FILE", help=audio_help)
+    source.add_argument("--audio", metavar="FILE", help=audio_help)
+    source.add_argument("--mic", action="store_true", help="the microphone, which is the default")
+    to_help = "send frames: livelink://HOST:11111 (Unreal) or vmc://HOST:39539 (VRM); repeatable"
+    parser.add_argument("--to", action="append", default=[], metavar="ADDRESS", help=to_help)
     mesh_help = "face: OBJ, PLY, OFF, STL, glTF; without it the built-in mean face"
     parser.add_argument("--mesh", metavar="FILE", help=mesh_help)
     parser.add_argument("--emotion", default="neutral", help="as of 'freetalk animate'")
@@ -339,54 +342,14 @@ def _add_speech(commands: Any) -> None:
     _add_pretrained(parser)
 
 
-def _add_view(commands: Any) -> None:
-    parser = _command(
-        commands,
-        "view",
-        "view:run",
-        "play animations in the browser, or render one to files",
-        description=(
-            "Opens a page in the browser that plays animations with sound: turn them, compare several beside each "
-            "other, colour them by their distance from a truth, save pictures and videos. Without a display it "
-            "prints the page's address, which is reachable from this machine alone."
-        ),
-    )
-    parser.add_argument("files", metavar="FILE", nargs="+", help="animations .npz, to compare")
-    truth_help = "an animation of the same mesh: colour the others by their distance from it"
-    parser.add_argument("--truth", metavar="FILE", help=truth_help)
-    texture_help = "picture for the mesh's texture coordinates: PNG, JPEG, WebP"
-    parser.add_argument("--texture", metavar="FILE", help=texture_help)
-    parser.add_argument("--html", metavar="FILE", help="write the page instead of opening it")
-    parser.add_argument("--port", type=natural, help="of the page; by default any that is free")
-    parser.add_argument("--png", metavar="FILE", help="write a picture of the first instead")
-    parser.add_argument("--mp4", metavar="FILE", help="write a video of the first instead")
-    parser.add_argument("--time", type=float, default=0.0, help="moment of the picture, seconds")
-    parser.add_argument(
-        "--size", type=picture_size, default="720x720", help="pixels of picture and video"
-    )
-    parser.add_argument("--yaw", type=float, default=12.0, help="degrees the camera stands aside")
+def _add_pages(commands: Any) -> None:
+    from freetalk.cli.page_options import add_serve, add_view
 
-
-def _add_serve(commands: Any) -> None:
-    parser = _command(
-        commands,
-        "serve",
-        "serve:run",
-        "a page to animate faces with: speech and mesh in, takes to direct, compare and download",
-        description=(
-            "Opens a page in the browser: drop in speech or record it, choose a face, direct the emotion over time, "
-            "make several takes, compare them and download them, or speak and see the face live. It is reachable "
-            "from this machine alone unless --host says otherwise, and by those who have its address "
-            "(pip install '.[serve]')."
-        ),
-    )
-    mesh_help = "face to begin with: OBJ, PLY, OFF, STL, glTF; without it the built-in mean face"
-    parser.add_argument("--mesh", metavar="FILE", help=mesh_help)
-    parser.add_argument("--audio", metavar="FILE", help="speech to begin with")
-    parser.add_argument("--host", default="127.0.0.1", help="address to listen on")
-    parser.add_argument("--port", type=natural, help="by default any that is free")
-    parser.add_argument("--max-upload-mb", type=natural, default=64, help="largest file it takes")
-    parser.add_argument("--no-browser", action="store_true", help="print the address only")
+    view_help = "play animations in the browser, or render one to files"
+    add_view(_command(commands, "view", "view:run", view_help))
+    serve_help = "a page to animate faces with: speech and mesh in, takes to compare and download"
+    parser = _command(commands, "serve", "serve:run", serve_help)
+    add_serve(parser)
     _add_pretrained(parser)
 
 
