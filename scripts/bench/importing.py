@@ -21,7 +21,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 import soundfile
-from tqdm import tqdm
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "python"))
 from dataset_layouts import FLAME, sound, write_flame, write_lists
@@ -29,31 +28,31 @@ from dataset_layouts import FLAME, sound, write_flame, write_lists
 from freetalk.data.emotions import LABELS
 
 ACTORS = [f"M{n:03d}" for n in range(3, 30)] + [f"W{n:03d}" for n in range(9, 29)]
+_CONTENTS = 100
 
 
 def write_takes(folder: Path, count: int, frames: int) -> None:
-    """Takes of 47 actors, eight emotions and three levels; every thousandth is broken."""
+    """Takes of 47 actors, eight emotions and three levels, links to a few files; every thousandth is broken."""
     rng = np.random.default_rng(0)
-    parameters = {"shape": 300, "exp": 100, "jaw": 3}
-    values = {
-        n: rng.normal(0, 0.1, (1, frames, c)).astype(np.float32) for n, c in parameters.items()
-    }
-    wave = sound(frames / 25, 16000, 0)
+    folder.mkdir(parents=True)
+    for number in range(_CONTENTS):
+        with h5py.File(folder / f"{number}.hdf5", "w") as file:
+            for name, width in (("shape", 300), ("exp", 100), ("jaw", 3)):
+                file[name] = rng.normal(0, 0.1, (1, frames, width)).astype(np.float32)
+        soundfile.write(folder / f"{number}.wav", sound(frames / 25, 16000, number), 16000)
+    (folder / "broken.hdf5").write_bytes(b"cut short")
     root = folder / "processed"
-    for number in tqdm(range(count), desc="generating"):
+    for number in range(count):
         actor, rest = ACTORS[number % len(ACTORS)], number // len(ACTORS)
         label, rest = list(LABELS["mead"])[rest % 8], rest // 8
         take = Path(actor, "front", label, f"level_{rest % 3 + 1}", f"{rest // 3:03d}")
         target = root / "reconstructions" / "EMICA" / take / "shape_pose_cam.hdf5"
         target.parent.mkdir(parents=True)
-        with h5py.File(target, "w") as file:
-            for name, array in values.items():
-                file[name] = np.roll(array, number, axis=1)
-        if number % 1000 == 999:
-            target.write_bytes(b"cut short")
+        content = "broken" if number % 1000 == 999 else str(number % _CONTENTS)
+        os.link(folder / f"{content}.hdf5", target)
         wav = (root / "audio" / take).with_suffix(".wav")
         wav.parent.mkdir(parents=True, exist_ok=True)
-        soundfile.write(wav, wave, 16000)
+        os.link(folder / f"{number % _CONTENTS}.wav", wav)
     write_flame(folder / "flame.npz")
     write_lists(folder, FLAME, ("landmarks68.npy", "lip_mask.npy", "upper_mask.npy"))
 

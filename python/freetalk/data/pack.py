@@ -463,10 +463,10 @@ class PackWriter:
         self._lock.close()
 
     def _close(self) -> None:
-        for file in self._files.values():
-            file.abandon()
-        self._journal.close()
-        self._lock.close()
+        arrays = [array.file for array in self._files.values()]
+        for file in (*arrays, self._journal, self._lock):
+            with contextlib.suppress(OSError):  # a full disk has no room for what is buffered
+                file.close()
 
 
 class _GrowingArray:
@@ -477,40 +477,35 @@ class _GrowingArray:
     ) -> None:
         self.rows, self._dtype, self._row_shape = rows, dtype, row_shape
         self._row_bytes = dtype.itemsize * int(np.prod(row_shape, dtype=np.int64))
-        self._file: IO[bytes] = path.open("r+b" if path.is_file() else "w+b")
+        self.file: IO[bytes] = path.open("r+b" if path.is_file() else "w+b")
         self._write_header()
-        self._start = self._file.tell()
-        self._file.truncate(self._start + rows * self._row_bytes)  # what was not noted goes
-        self._file.seek(0, os.SEEK_END)
+        self._start = self.file.tell()
+        self.file.truncate(self._start + rows * self._row_bytes)  # what was not noted goes
+        self.file.seek(0, os.SEEK_END)
 
     def append(self, array: Array) -> None:
         if (array.dtype, array.shape[1:]) != (self._dtype, self._row_shape):
             raise ValueError(
-                f"{self._file.name} has rows of {self._dtype} {self._row_shape}, got {array.dtype} {array.shape[1:]}"
+                f"{self.file.name} has rows of {self._dtype} {self._row_shape}, got {array.dtype} {array.shape[1:]}"
             )
-        self._file.write(np.ascontiguousarray(array).tobytes())
+        self.file.write(np.ascontiguousarray(array).tobytes())
         self.rows += len(array)
 
     def read(self, first: int, count: int) -> Array:
         """Rows that were appended before."""
-        self._file.seek(self._start + first * self._row_bytes)
-        content = self._file.read(count * self._row_bytes)
-        self._file.seek(0, os.SEEK_END)
+        self.file.seek(self._start + first * self._row_bytes)
+        content = self.file.read(count * self._row_bytes)
+        self.file.seek(0, os.SEEK_END)
         return np.frombuffer(content, self._dtype).reshape(count, *self._row_shape)
 
     def flush(self) -> None:
-        _flush(self._file)
+        _flush(self.file)
 
     def close(self) -> None:
-        self._file.seek(0)
+        self.file.seek(0)
         self._write_header()
         self.flush()
-        self._file.close()
-
-    def abandon(self) -> None:
-        """Closes it as it is: a full disk has no room for what is buffered."""
-        with contextlib.suppress(OSError):
-            self._file.close()
+        self.file.close()
 
     def _write_header(self) -> None:
         shape = (self.rows, *self._row_shape)
@@ -520,7 +515,7 @@ class _GrowingArray:
             "shape": shape,
         }
         np.lib.format.write_array_header_1_0(
-            self._file, header
+            self.file, header
         )  # padded, so that the count may grow in place
 
 
