@@ -57,15 +57,17 @@ def write_takes(folder: Path, count: int, frames: int) -> None:
     write_lists(folder, FLAME, ("landmarks68.npy", "lip_mask.npy", "upper_mask.npy"))
 
 
-def run(command: list[str], stop_after_s: float = 0.0) -> tuple[float, float, int]:
-    """Seconds, greatest resident memory (GB) and status of a command, killed after a while where that is asked for."""
+def run(command: list[str], stop_after_s: float = 0.0) -> tuple[str, float, float, int]:
+    """Seconds and memory as text, seconds, greatest resident memory (GB), status; killed after a while if asked for."""
     began = time.perf_counter()
     process = subprocess.Popen(command)
     if stop_after_s:
         time.sleep(stop_after_s)
         process.send_signal(signal.SIGKILL)
     _, status, usage = os.wait4(process.pid, 0)
-    return time.perf_counter() - began, usage.ru_maxrss / 1e6, os.waitstatus_to_exitcode(status)
+    took, memory = time.perf_counter() - began, usage.ru_maxrss / 1e6
+    said = f"{took:.1f} s ({usage.ru_utime + usage.ru_stime:.1f} s of CPU), {memory:.2f} GB"
+    return said, took, memory, os.waitstatus_to_exitcode(status)
 
 
 def main() -> int:
@@ -84,17 +86,20 @@ def main() -> int:
         write_takes(source, given.takes, given.frames)
     freetalk = [sys.executable, "-m", "freetalk.cli"]
     importing = [*freetalk, "data", "import", "mead", str(source), "--out", str(packed)]
-    took, _, status = run(importing, given.kill_after)
-    print(f"import killed after {took:.0f} s (status {status}); {packed.exists()=}")
-    took, memory, status = run(importing)
-    print(f"import resumed and finished in {took:.0f} s, {memory:.2f} GB (status {status})")
+    if not packed.exists():
+        said, *_ = run(importing, given.kill_after)
+        journal = given.work / ".packed.partial" / "journal"
+        noted = len(journal.read_text().splitlines()) - 1 if journal.is_file() else 0
+        print(
+            f"import killed after {said}: {noted} takes are noted, {packed.exists()=}", flush=True
+        )
+        said, *_, status = run(importing)
+        print(f"import resumed and finished in {said} (status {status})", flush=True)
     config = Path(__file__).resolve().parents[2] / "configs" / "stm_smoke.yaml"
     training = [*freetalk, "train", "stm", "--config", str(config), "--data", str(packed)]
     training += ["--out", str(given.work / "out"), "loop.max_steps=1", "loop.validate_every=0"]
-    took, memory, status = run([*training, *given.overrides])
-    print(
-        f"training started, took a step and ended in {took:.1f} s, {memory:.2f} GB (status {status})"
-    )
+    said, took, memory, status = run([*training, *given.overrides])
+    print(f"training started, took a step and ended in {said} (status {status})")
     return int(status != 0 or took > 30 or memory > 2)
 
 
