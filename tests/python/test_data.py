@@ -341,9 +341,10 @@ def test_another_dataset_is_never_written_over(tmp_path: Path) -> None:
         write_all(tmp_path / "out", "b")
     assert content(tmp_path / "out") == before
     (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "thesis.txt").write_text("keep me")
-    with pytest.raises(DatasetError, match="is no dataset"):
-        write_all(tmp_path / "mine")
+    (tmp_path / "mine" / "manifest.json").write_text('{"name": "my page"}')
+    for replace in (False, True):
+        with pytest.raises(DatasetError, match="is no dataset"):
+            PackWriter(tmp_path / "mine", {}, replace=replace).__enter__()
 
     def stop(number: int) -> None:
         if number == 9:

@@ -103,11 +103,12 @@ def _recording(folder: Path, name: str) -> Path:
 
 def _named(given: list[str]) -> dict[str, Path]:
     """``NAME=JSON``, or ``JSON``, which is called as its folder."""
+    from freetalk.data import parse_spec
+
     named: dict[str, Path] = {}
     for text in given:
-        name, equals, file = text.partition("=")
-        if not equals or "/" in name:
-            name, file = Path(text).resolve().parent.name, text
+        name, _, file = parse_spec(text)
+        name = name or Path(text).resolve().parent.name
         if name in named:
             raise ValueError(f"two sets are called {name}: give them names, NAME=JSON")
         named[name] = check_readable(file, "aligned recordings")

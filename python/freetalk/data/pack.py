@@ -42,6 +42,8 @@ from freetalk._files import flush, write_text
 from freetalk.data.errors import DatasetError, MissingFileError, NotFiniteError
 
 FORMAT, VERSION = "freetalk-dataset", 1
+#: What may be replaced: this one, and that of corpora before it.
+_FORMATS = (FORMAT, "freetalk-open-corpus")
 SAMPLE_RATE_HZ = 16000
 FULL_SCALE = 32768.0
 NUM_LANDMARKS: int = _native.core.NUM_LANDMARKS
@@ -379,18 +381,19 @@ class PackWriter:
 
     def _check_out(self) -> None:
         """Sees whether the folder is there already; complains where it is something else."""
-        path = self.out / "manifest.json"
+        path, found = self.out / "manifest.json", {}
         if path.is_file():
-            try:
-                self.complete = json.loads(path.read_text()).get("key") == self._key
-            except ValueError:
-                self.complete = False
-            if not self.complete and not self._replace:
-                raise DatasetError(
-                    f"{self.out} holds another dataset: give another --out, or delete it"
-                )
-        elif self.out.exists() and any(self.out.iterdir()):
-            raise DatasetError(f"{self.out} exists and is no dataset: give another --out")
+            with contextlib.suppress(ValueError):
+                found = json.loads(path.read_text())
+        if str(found.get("format", "")) not in _FORMATS:
+            if self.out.exists() and any(self.out.iterdir()):
+                raise DatasetError(f"{self.out} exists and is no dataset: give another --out")
+            return
+        self.complete = found.get("key") == json.loads(json.dumps(self._key))
+        if not self.complete and not self._replace:
+            raise DatasetError(
+                f"{self.out} holds another dataset: give another --out, or delete it"
+            )
 
     def _read_journal(self) -> list[str]:
         """Takes over what an earlier call has brought to the disk; returns the journal's lines."""
