@@ -15,6 +15,8 @@ from page_takes import speaking
 import freetalk as ft
 from freetalk import page
 from freetalk.cli import main
+from freetalk.corpus.assets import mean_face
+from freetalk.viz.appearance import part_labels, seen_faces
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +84,23 @@ def test_an_opening_jaw_is_seen_as_jaw_open(animation: ft.Animation) -> None:
 
 def test_an_animation_without_alignment_has_no_landmarks() -> None:
     assert page.find_landmarks(ft.viz.as_sequence(quad())) is None
+
+
+def test_sheets_and_lashes_before_eyeballs_are_not_drawn() -> None:
+    vertices, faces = mean_face("full")
+    seen = seen_faces(vertices, faces.astype(np.int64))
+    labels = part_labels(faces, len(vertices))
+    drawn, all_parts = set(labels[seen[:, 0]]), set(labels)
+    hidden = [vertices[labels == part] for part in all_parts - drawn]
+    assert len(hidden) == 18  # on either side three sheets and six strips of lashes
+    for points in hidden:
+        assert abs(points[:, 1].mean() - 0.037) < 0.01 and np.ptp(points[:, 1]) < 0.025
+    assert {labels[0], labels[22221], labels[21451]} <= drawn  # skin and eyeballs
+
+
+def test_a_face_without_eyeballs_is_drawn_whole() -> None:
+    vertices, faces = mean_face("face")
+    assert len(seen_faces(vertices, faces.astype(np.int64))) == len(faces)
 
 
 def test_vertices_on_a_seam_are_drawn_once_for_each_texture_coordinate(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from freetalk.animation import Animation
 from freetalk.page.motion import PackedMotion, pack_motion
-from freetalk.viz.appearance import vertex_colors
+from freetalk.viz.appearance import seen_faces, vertex_colors
 from freetalk.viz.cavities import find_cavities
 from freetalk.viz.renderer import FACE_BOX
 from freetalk.viz.sequence import Sequence, as_sequence
@@ -76,7 +76,7 @@ def pack_take(
     if texture is not None:
         header["texture"] = _add_texture(writer, animation, sequence, Path(texture))
     else:
-        writer.add("faces", sequence.faces.astype(np.uint32))
+        writer.add("faces", seen_faces(rest, sequence.faces).astype(np.uint32))
     if colors is None:
         header["painted"] = False
         writer.add("colors", vertex_colors(rest, sequence.faces))
@@ -119,7 +119,7 @@ def pack_rig(
     header = _begin(writer, still, rest, motion, name)
     shapes = [shape for shape in names if not shape.startswith("corrective_")]
     header |= {"phones": [], "facts": {}, "painted": False, "live": shapes}
-    writer.add("faces", still.faces.astype(np.uint32))
+    writer.add("faces", seen_faces(rest, still.faces).astype(np.uint32))
     writer.add("colors", vertex_colors(rest, still.faces))
     return writer.bytes(header | _add_cavities(writer, rest, still.faces))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +17,8 @@ PUPIL = (0.03, 0.03, 0.03)
 # Half angles of pupil and iris, seen from the centre of the eyeball.
 _PUPIL_ANGLE = np.deg2rad(11.0)
 _IRIS_ANGLE = np.deg2rad(28.0)
+# Mean distance from an eyeball's centre, in radii, within which a small part belongs to the eye.
+_EYE_REACH = 2.2
 
 
 class NormalField:
@@ -99,11 +103,66 @@ def vertex_colors(vertices: NDArray[np.float32], faces: NDArray[np.int64]) -> ND
     labels = part_labels(faces, len(vertices))
     colors = np.tile(np.asarray(IVORY), (len(vertices), 1))
     colors[labels == 0] = SKIN
+    balls, _ = _eyeballs(vertices, labels)
+    for ball in balls:
+        offsets = vertices[ball.chosen] - ball.center
+        angle = np.arccos(
+            np.clip(offsets[:, 2] / np.maximum(np.linalg.norm(offsets, axis=1), 1e-12), -1, 1)
+        )
+        colors[ball.chosen[angle < _IRIS_ANGLE]] = IRIS
+        colors[ball.chosen[angle < _PUPIL_ANGLE]] = PUPIL
+    return np.asarray(np.round(colors * 255), dtype=np.uint8)
+
+
+def seen_faces(vertices: NDArray[np.float32], faces: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The triangles without what heads made for games have before their eyeballs and cut out with a texture.
+
+    Those are clear sheets for tears and shadow, and strips for lashes: without their texture they hide the eyes.
+
+    Args:
+        vertices: (V, 3) resting points, upright.
+        faces: (F, 3) triangles.
+
+    Returns:
+        (F', 3) triangles, those of a mesh without eyeballs all.
+    """
+    labels = part_labels(faces, len(vertices))
+    balls, others = _eyeballs(vertices, labels)
+    clear = [
+        labels[chosen[0]]
+        for chosen in others
+        if any(
+            len(chosen) < len(ball.chosen) and ball.reach(vertices[chosen]).mean() < _EYE_REACH
+            for ball in balls
+        )
+    ]
+    return faces[~np.isin(labels[faces[:, 0]], clear)]
+
+
+@dataclass
+class _Ball:
+    chosen: NDArray[np.int64]
+    center: NDArray[np.float64]
+    radius: float
+
+    def reach(self, points: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Distances from the centre, in radii."""
+        return np.asarray(np.linalg.norm(points - self.center, axis=1) / self.radius)
+
+
+def _eyeballs(
+    vertices: NDArray[np.float32], labels: NDArray[np.int64]
+) -> tuple[list[_Ball], list[NDArray[np.int64]]]:
+    """The parts beside the largest: balls, and the vertices of each other part."""
+    balls, others = [], []
     for part in range(1, labels.max(initial=0) + 1):
         chosen = np.flatnonzero(labels == part)
-        if len(chosen) >= 40:
-            _paint_eyeball(colors, vertices, chosen)
-    return np.asarray(np.round(colors * 255), dtype=np.uint8)
+        ball = _fit_ball(vertices, chosen) if len(chosen) >= 40 else None
+        if ball is None:
+            others.append(chosen)
+        else:
+            balls.append(ball)
+    return balls, others
 
 
 def shade_colors(colors: NDArray[np.uint8], light: NDArray[np.float32]) -> NDArray[np.uint8]:
@@ -117,22 +176,16 @@ def shade_colors(colors: NDArray[np.uint8], light: NDArray[np.float32]) -> NDArr
     return np.asarray(colors * (floor + (1 - floor) * tinted), dtype=np.uint8)
 
 
-def _paint_eyeball(
-    colors: NDArray[np.float64], vertices: NDArray[np.float32], chosen: NDArray[np.int64]
-) -> None:
-    """Paints iris and pupil if the chosen vertices lie on a sphere to within a few percent."""
+def _fit_ball(vertices: NDArray[np.float32], chosen: NDArray[np.int64]) -> _Ball | None:
+    """The sphere on which the chosen vertices lie to within a few percent; None where they do not."""
     points = vertices[chosen].astype(np.float64)
     system = np.hstack([2 * points, np.ones((len(points), 1))])
     solution, _, rank, _ = np.linalg.lstsq(system, (points**2).sum(1), rcond=None)
     if rank < 4:
-        return
+        return None
     center = solution[:3]
-    radius = np.sqrt(max(solution[3] + center @ center, 0.0))
-    offsets = points - center
-    distance = np.linalg.norm(offsets, axis=1)
-    spread = float(np.mean(np.abs(distance - radius)))
+    radius = float(np.sqrt(max(solution[3] + center @ center, 0.0)))
+    spread = float(np.mean(np.abs(np.linalg.norm(points - center, axis=1) - radius)))
     if radius <= 0 or spread > 0.06 * radius or np.ptp(points, axis=0).min() < radius:
-        return
-    angle = np.arccos(np.clip(offsets[:, 2] / np.maximum(distance, 1e-12), -1, 1))
-    colors[chosen[angle < _IRIS_ANGLE]] = IRIS
-    colors[chosen[angle < _PUPIL_ANGLE]] = PUPIL
+        return None
+    return _Ball(chosen, center, radius)

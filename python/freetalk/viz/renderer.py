@@ -16,6 +16,7 @@ from freetalk.viz.appearance import (
     MOUTH_DARK,
     MOUTH_INSIDE,
     NormalField,
+    seen_faces,
     shade_colors,
     vertex_colors,
 )
@@ -115,7 +116,7 @@ class FaceRenderer:
         import pyvista
 
         faces = self._sequence.faces
-        mesh = pyvista.PolyData.from_regular_faces(rest.copy(), faces)
+        mesh = pyvista.PolyData.from_regular_faces(rest.copy(), seen_faces(rest, faces))
         mesh.point_data.active_normals = self._normals(rest)
         colors = vertex_colors(rest, faces)
         if self._view.occlusion:

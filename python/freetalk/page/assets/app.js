@@ -34,6 +34,7 @@ class App {
     document.addEventListener("keydown", (event) => this.key(event));
     new ResizeObserver(() => this.refresh()).observe(element("stage"));
     if (matchMedia("(max-width: 760px)").matches) this.togglePanel(false);
+    this.changed();
     requestAnimationFrame(() => this.frame());
   }
 

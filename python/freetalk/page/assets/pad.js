@@ -30,8 +30,8 @@ class EmotionPad {
     this.names.forEach((name, i) => {
       const angle = (2 * Math.PI * i) / this.names.length - Math.PI / 2;
       const label = Object.assign(document.createElement("span"), { textContent: name });
-      label.style.left = `${50 + 41 * Math.cos(angle)}%`;
-      label.style.top = `${50 + 44 * Math.sin(angle)}%`;
+      label.style.left = `${50 + 42 * Math.cos(angle)}%`;
+      label.style.top = `${50 + 43 * Math.sin(angle)}%`;
       pad.append(label);
     });
     this.draw();
@@ -75,7 +75,9 @@ class EmotionPad {
       for (const [name, part] of [[this.names[first], 1 - share], [this.names[(first + 1) % count], share]])
         shares.set(name, (shares.get(name) || 0) + far * part);
     }
-    return new Map([...shares].filter(([, share]) => share >= 0.04).sort((a, b) => b[1] - a[1]));
+    const kept = [...shares].filter(([, share]) => share >= 0.04).sort((a, b) => b[1] - a[1]);
+    const sum = kept.reduce((all, [, share]) => all + share, 0);
+    return new Map(kept.map(([name, share]) => [name, share / sum]));
   }
 
   textOf(key) {
