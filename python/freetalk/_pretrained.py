@@ -28,10 +28,15 @@ def missing_stages(folder: Path) -> list[str]:
 
 
 def find_weights(name: str | os.PathLike[str]) -> Path:
-    """The folder of complete weights: itself, or that of installed ones of this name.
+    """The folder of complete weights: itself, that of installed ones of this name, or a copy from the hub.
+
+    Args:
+        name: a folder, the name of installed weights, or ``owner/name`` on huggingface.co.
 
     Raises:
         ValueError: there is none; the message says what a folder lacks, or which weights are installed.
+        RuntimeError: the hub cannot be reached, or the repository holds no weights.
+        ModuleNotFoundError: the name is a repository's and huggingface_hub is not installed.
     """
     for folder in (Path(name), PRETRAINED / name):
         if (folder / "talker.json").is_file():
@@ -45,5 +50,11 @@ def find_weights(name: str | os.PathLike[str]) -> Path:
             if 0 < len(lacking) < len(STAGES)
             else f"'{folder}' is no folder of weights: it has no talker.json"
         )
+    from freetalk import hub
+
+    if hub.is_repository(name):
+        return hub.download(os.fspath(name))
     known = ", ".join(folder.name for folder in installed()) or "none"
-    raise ValueError(f"no weights '{name}': neither a folder with talker.json nor one of: {known}")
+    raise ValueError(
+        f"no weights '{name}': neither a folder with talker.json nor OWNER/NAME on huggingface.co nor one of: {known}"
+    )

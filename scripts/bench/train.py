@@ -34,7 +34,6 @@ from freetalk.diffusion import Schedule
 from freetalk.geometry import surface_operators
 from freetalk.stm import Stm, StmOptions
 from freetalk.train.config import TrainingConfig, load_config
-from freetalk.train.draws import Draws
 from freetalk.train.engine import Engine, moved
 from freetalk.train.loop import Trainer
 from freetalk.train.losses import motion_loss
@@ -127,19 +126,15 @@ class StmBench:
             total = total + 1e6 * motion_loss(guess, item["target"], None, 0.5, 0.2)["loss"]
         return {"loss": total / len(batch["items"])}
 
-    def validate(self) -> dict[str, float]:
-        """Nothing is validated."""
-        return {"score": 0.0}
-
 
 def our_step(task: Any, config: TrainingConfig, out: Path) -> Step:
     """A step of freetalk's trainer."""
     engine = Engine(config.loop)
     task.model.to(engine.device)
     trainer = Trainer(task, config, out, "noise", engine=engine)
-    draws = Draws(task, engine, config.loop.seed)
+    draws = trainer.draws()
     task.model.train()
-    return lambda: trainer._train_step(draws)["loss"]
+    return lambda: trainer.advance(draws)["loss"]
 
 
 def plain_step(task: Any, config: TrainingConfig, compiled: bool) -> Step:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +15,9 @@ from freetalk.ats import Ats
 from freetalk.data import open_dataset
 from freetalk.speech import SpeechEncoder
 from freetalk.stm import Stm
-from freetalk.train import load_config, motion_loss, run
+from freetalk.train import load_config, loop, motion_loss, run
 from freetalk.train.augment import augment_wave, change_speed
+from freetalk.train.checkpoint import find_checkpoint, load_state
 from freetalk.train.draws import Draws
 from freetalk.train.losses import closure_error
 from freetalk.train.sequences import SequenceSampler
@@ -252,7 +254,7 @@ def test_a_stopped_run_ends_with_the_same_weights(
     run(kind, config, [*common, "loop.max_steps=2"], corpus, tmp_path / "parts")
     run(kind, config, [*common, "loop.max_steps=5"], corpus, tmp_path / "parts")
     whole, parts = (
-        weights(tmp_path / name / "checkpoints" / kind / "step_0000005", "training")
+        weights(tmp_path / name / "checkpoints" / kind / "step_0000005" / "state")
         for name in ("whole", "parts")
     )
     for name, value in whole.items():
@@ -273,14 +275,35 @@ def test_a_loss_that_is_not_finite_stops_with_the_batch_saved(
 
     clean = StmTask.collate
 
-    def poisoned(self: StmTask, items: list[object]) -> dict[str, object]:
+    drawn = StmTask.item
+
+    def numbered(self: StmTask, rng: np.random.Generator, number: int) -> dict[str, object]:
+        return {**drawn(self, rng, number), "number": number}
+
+    def poisoned(self: StmTask, items: list[Any]) -> dict[str, Any]:
         batch = clean(self, items)
-        batch["items"][0]["landmarks"][0, 0, 0] = float("nan")
+        if items[0]["number"] == 2:  # of the second step
+            batch["items"][0]["landmarks"][0, 0, 0] = float("nan")
         return batch
 
+    monkeypatch.setattr(StmTask, "item", numbered)
+
     monkeypatch.setattr(StmTask, "collate", poisoned)
-    with pytest.raises(RuntimeError, match=r"step 0 of stm is not finite.*failed_batch_stm\.pt"):
-        run("stm", CONFIGS / "stm_smoke.yaml", QUICK, corpus, tmp_path)
+    # Terms are read every third step: the two steps after the first change nothing.
+    options = [*QUICK, "loop.log_every=3", "loop.validate_every=0"]
+    monkeypatch.setattr(loop.Trainer, "_agree", lambda self, seconds: (1e-3, False))
+    with pytest.raises(RuntimeError, match=r"step 1 of stm is not finite.*failed_batch_stm\.pt"):
+        run("stm", CONFIGS / "stm_smoke.yaml", options, corpus, tmp_path)
+    found = find_checkpoint(tmp_path / "checkpoints" / "stm")
+    assert found is not None and load_state(found)["step"] == 1
+    one = [*QUICK, "loop.max_steps=1"]
+    monkeypatch.setattr(StmTask, "collate", clean)
+    run("stm", CONFIGS / "stm_smoke.yaml", one, corpus, tmp_path / "one")
+    ours, theirs = (
+        weights(out / "checkpoints" / "stm" / "step_0000001" / "state")
+        for out in (tmp_path, tmp_path / "one")
+    )
+    assert all(torch.equal(value, theirs[name]) for name, value in ours.items())
     saved = torch.load(tmp_path / "failed_batch_stm.pt", weights_only=True)
     assert torch.isnan(saved["items"][0]["landmarks"]).any()
 
@@ -293,14 +316,12 @@ def test_an_interrupted_run_saves_and_says_how_to_go_on(
 ) -> None:
     import signal
 
-    from freetalk.train import loop
-
     step = loop.Trainer._train_step
 
-    def interrupted(self: loop.Trainer, draws: Draws) -> dict[str, float]:
+    def interrupted(self: loop.Trainer, draws: Draws) -> None:
         if self.step == 2:
             signal.raise_signal(signal.SIGINT)
-        return step(self, draws)
+        step(self, draws)
 
     monkeypatch.setattr(loop.Trainer, "_train_step", interrupted)
     options = [*QUICK, "loop.validate_every=0"]

@@ -150,8 +150,13 @@ def test_items_are_numbered_over_steps_and_passes() -> None:
 
     engine = Engine(LoopOptions(device="cpu", batch_size=6, accumulation_steps=2))
     with Draws(Numbers(), engine, 0) as draws:
-        found = [batch["items"] for step in range(3) for batch in draws.take(step)]
+        found = [batch["items"] for _ in range(3) for batch in draws.take()]
+        again = [batch["items"] for batch in draws.again(1)]
     assert found == [[0, 1, 2], [3, 4, 5], [6, 7, 8], [9, 10, 11], [12, 13, 14], [15, 16, 17]]
+    assert again == found[2:4]
+    with Draws(Numbers(), engine, 0, workers=2, step=1) as draws:
+        later = [batch["items"] for _ in range(2) for batch in draws.take()]
+    assert later == found[2:]
 
 
 # Positions

@@ -42,7 +42,7 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Mon
 
 @pytest.fixture
 def no_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    def step(self: loop.Trainer, draws: object) -> dict[str, float]:
+    def step(self: loop.Trainer, draws: object) -> None:
         raise AssertionError("a step was taken")
 
     monkeypatch.setattr(loop.Trainer, "_train_step", step)
@@ -79,10 +79,10 @@ def test_an_error_at_a_step_loses_none_before_it(
     whole = run("stm", STM, QUICK, corpus, tmp_path / "whole")
     step = loop.Trainer._train_step
 
-    def failing(self: loop.Trainer, draws: Any) -> dict[str, float]:
+    def failing(self: loop.Trainer, draws: Any) -> None:
         if self.step == 3:
             raise OSError("the disk is gone")
-        return step(self, draws)
+        step(self, draws)
 
     monkeypatch.setattr(loop.Trainer, "_train_step", failing)
     with pytest.raises(OSError, match="the disk is gone"):
@@ -127,9 +127,9 @@ def test_ctrl_c_exits_as_the_shell_expects(
 ) -> None:
     step = loop.Trainer._train_step
 
-    def interrupted(self: loop.Trainer, draws: Any) -> dict[str, float]:
+    def interrupted(self: loop.Trainer, draws: Any) -> None:
         signal.raise_signal(signal.SIGINT)
-        return step(self, draws)
+        step(self, draws)
 
     command = ["train", "stm", "--config", str(STM), "--data", str(corpus)]
     command += ["--out", str(tmp_path / "out"), *QUICK]
@@ -148,9 +148,9 @@ def test_the_learning_rate_follows_the_clock_only_when_asked(
     def rates(schedule: str, seconds: float) -> list[float]:
         found: list[float] = []
 
-        def slow(self: loop.Trainer, taken: float) -> None:
+        def slow(self: loop.Trainer, taken: float) -> tuple[float, bool]:
             found.append(self._learning_rate())
-            self.elapsed_s += seconds
+            return seconds, False
 
         monkeypatch.setattr(loop.Trainer, "_agree", slow)
         options = [*QUICK, "loop.max_minutes=60", f"loop.lr_schedule={schedule}"]

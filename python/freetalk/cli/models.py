@@ -31,3 +31,25 @@ def download(arguments: argparse.Namespace) -> None:
     folder = download_encoder(arguments.name, out)
     megabytes = (folder / "model.safetensors").stat().st_size / 1e6
     print(f"{folder}: {arguments.name}, {megabytes:.0f} MB")
+
+
+def push(arguments: argparse.Namespace) -> None:
+    """Publishes a folder of weights with a model card."""
+    from freetalk import hub
+
+    address = hub.push(
+        arguments.folder,
+        arguments.repository,
+        licence=arguments.licence,
+        private=arguments.private,
+    )
+    print(f"{address}; load it with --pretrained {arguments.repository}")
+
+
+def add_push(parser: argparse.ArgumentParser) -> None:
+    """Adds the options of ``freetalk models push``."""
+    folder_help = "weights, such as 'freetalk train --out' wrote"
+    parser.add_argument("folder", metavar="DIR", help=folder_help)
+    parser.add_argument("repository", metavar="OWNER/NAME", help="made if it is not there")
+    parser.add_argument("--licence", default="mit", help="of the weights, as the hub names it")
+    parser.add_argument("--private", action="store_true", help="where the repository is made")

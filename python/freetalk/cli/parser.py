@@ -128,7 +128,7 @@ def _add_pose(parser: Parser) -> None:
 
 
 def _add_pretrained(parser: Parser) -> None:
-    help_text = "name of installed weights (see 'freetalk models') or their folder"
+    help_text = "weights: a name (see 'freetalk models'), a folder, or OWNER/NAME on huggingface.co"
     parser.add_argument("--pretrained", default=DEFAULT_WEIGHTS, metavar="NAME", help=help_text)
 
 
@@ -361,3 +361,6 @@ def _add_models(commands: Any) -> None:
     parser = _command(nested, "download", "models:download", help_text)
     parser.add_argument("name", metavar="NAME", help="name, or OWNER/NAME on huggingface.co")
     parser.add_argument("--out", metavar="DIR", help="folder to write; by default in the cache")
+    from freetalk.cli.models import add_push
+
+    add_push(_command(nested, "push", "models:push", "publish weights on huggingface.co"))

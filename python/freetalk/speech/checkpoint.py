@@ -14,6 +14,7 @@ import torch
 
 from freetalk import _native
 from freetalk._native.core import default_cache_dir
+from freetalk.hub import refusals
 from freetalk.speech.encoder import SpeechEncoder
 
 PUBLISHED = {
@@ -27,10 +28,6 @@ PUBLISHED = {
     "wav2vec2-large-xlsr-53": "facebook/wav2vec2-large-xlsr-53",
 }
 
-_NO_NETWORK = (
-    "cannot reach huggingface.co for {}: check the network (and that HF_HUB_OFFLINE is not set), or copy config.json "
-    "and the weights into a folder by other means and use that folder"
-)
 _WEIGHTS = ("model.safetensors", "model.safetensors.index.json")
 _OLDER = ("pytorch_model.bin", "pytorch_model.bin.index.json")
 
@@ -132,17 +129,10 @@ def _fetch(repository: str, file: str) -> Path | None:
     from huggingface_hub import errors
 
     try:
-        return Path(huggingface_hub.hf_hub_download(repository, file))
-    except errors.RepositoryNotFoundError:
-        raise RuntimeError(f"huggingface.co has no public repository {repository}") from None
-    except (errors.LocalEntryNotFoundError, errors.OfflineModeIsEnabled):
-        raise RuntimeError(_NO_NETWORK.format(repository)) from None
+        with refusals(repository):
+            return Path(huggingface_hub.hf_hub_download(repository, file))
     except errors.EntryNotFoundError:
         return None
-    except errors.HfHubHTTPError as error:
-        raise RuntimeError(f"huggingface.co refused {repository}: {error}") from None
-    except OSError:
-        raise RuntimeError(_NO_NETWORK.format(repository)) from None
 
 
 def _shards(index: Path) -> list[str]:

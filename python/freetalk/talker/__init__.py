@@ -63,12 +63,13 @@ class Talker:
         """Loads weights.
 
         Args:
-            name_or_dir: a folder with talker.json, or the name of weights that ship with the package.
+            name_or_dir: a folder with talker.json, the name of weights that ship with the package, or
+                ``owner/name`` on huggingface.co (``freetalk.hub`` publishes there).
             device: such as "cpu" or "cuda"; by default the GPU if there is one.
 
         Raises:
             ValueError: no such weights, or the folder lacks a stage; the message says which.
-            RuntimeError: a file is missing, broken or does not fit.
+            RuntimeError: a file is missing, broken or does not fit, or the hub cannot be reached.
         """
         folder = find_weights(name_or_dir)
         return cls(_native.talker.Talker.from_pretrained(folder, device), Voice(folder))

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -15,11 +14,11 @@ from freetalk.data import (
     NUM_LANDMARKS,
     Dataset,
     MotionSequence,
-    interpolate_frames,
     lip_opening,
 )
 from freetalk.data.landmarks import (
     INNER_LIP_PAIRS,
+    LIPS,
     LOWER_INNER_LIP,
     UPPER_FACE,
     UPPER_INNER_LIP,
@@ -27,6 +26,7 @@ from freetalk.data.landmarks import (
 from freetalk.diffusion import Schedule, ScheduleOptions
 from freetalk.train.assemble import encoder_record
 from freetalk.train.ats_inputs import audible, frame_rate, speech_encoder
+from freetalk.train.ats_windows import AtsWindows
 from freetalk.train.checkpoint import export_model
 from freetalk.train.checks import NO_VALIDATION
 from freetalk.train.config import TrainingConfig
@@ -38,8 +38,9 @@ from freetalk.train.losses import (
     landmark_weights,
     motion_counts,
     motion_loss,
+    vertex_errors,
 )
-from freetalk.train.mosaic import FloatArray, Mosaics, blended
+from freetalk.train.mosaic import blended
 from freetalk.train.previews import MeanFace, Sample
 from freetalk.train.sequences import Epochs, SequenceSampler, numpy_generator, present_weights
 from freetalk.train.task_options import AtsTaskOptions
@@ -47,6 +48,8 @@ from freetalk.train.task_options import AtsTaskOptions
 _VALIDATION_SEED = 30
 # Frames and denoising steps of a sample to look at.
 _SAMPLE_FRAMES, _SAMPLE_STEPS = 90, 25
+# Of each clip that validation samples with DPM-Solver++.
+_SAMPLED_FRAMES, _SAMPLED_STEPS = 300, 15
 _VALIDATION_TIMESTEPS = (0.15, 0.5, 0.85, 1.0)
 #: Smallest spread that a coordinate is divided by, relative to the mean one.
 _SPREAD_FLOOR = 0.15
@@ -68,7 +71,6 @@ class AtsTask:
         train = audible(self.corpus.sequences("train"))
         shares = present_weights((s.source for s in train), self.options.source_weights)
         self.sampler = SequenceSampler(train, shares)
-        self.mosaics = Mosaics(self.sampler.sequences, shares)
         sources = {s.source for s in self.sampler.sequences}
         heard = audible(self.corpus.sequences("val"))
         self.held_out = [s for s in heard if s.source in sources] or heard
@@ -92,7 +94,15 @@ class AtsTask:
                 f"{self.features.width} channels; leave model.audio_dim out"
             )
         self.model_options = AtsOptions.from_dict(fields)
-        self.model_options.trained_frames = self._longest_window()
+        self.windows = AtsWindows(
+            self.options,
+            self.corpus,
+            self.features,
+            self.sampler.sequences,
+            shares,
+            self.model_options.max_frames,
+        )
+        self.model_options.trained_frames = self.windows.longest()
         # The same start, whether the features were cached or not.
         torch.manual_seed(config.loop.seed)
         self.model = Ats(self.model_options).to(device)
@@ -130,11 +140,11 @@ class AtsTask:
         """A window of up to ``max_frames`` frames, its noise and its diffusion step."""
         if self._in_epochs:
             sequence, start = self.epochs.window(number)
-            window = self._window(sequence, rng, start)
+            window = self.windows.cut(sequence, rng, start)
         else:
-            window = self._window(self.sampler.draw(rng), rng)
+            window = self.windows.cut(self.sampler.draw(rng), rng)
         if rng.random() < self.options.blend:
-            window = blended(window, self._window(self.sampler.draw(rng), rng), rng)
+            window = blended(window, self.windows.cut(self.sampler.draw(rng), rng), rng)
         spare = self.model_options.max_frames - len(window["motion"])
         return {
             **window,
@@ -148,12 +158,14 @@ class AtsTask:
 
     def collate(self, items: list[dict[str, Any]]) -> dict[str, Any]:
         """Windows padded to the longest; padding has no noise."""
-        batch = self._stack(items)
+        batch = self.windows.stack(items)
         noise = torch.zeros_like(batch["motion"])
         for row, item in enumerate(items):
             noise[row, : len(item["noise"])] = torch.from_numpy(item["noise"])
-        for name in ("drop_audio", "drop_affect", "rehearsed", "step", "first_position"):
+        for name in ("drop_audio", "drop_affect", "step", "first_position"):
             batch[name] = torch.tensor([item[name] for item in items])
+        rehearsed = [row for row, item in enumerate(items) if item["rehearsed"]]
+        batch["rehearsed"] = torch.tensor(rehearsed, dtype=torch.int64)
         wanted = _gap(batch["motion"])
         closed = closures(wanted, batch["valid"], self._usual_opening).sum()
         counts = torch.cat([motion_counts(batch["valid"]), closed[None].float()])
@@ -163,36 +175,74 @@ class AtsTask:
         """Eq. 15 at the diffusion step drawn for each window."""
         return self._terms(batch, batch["step"], batch["noise"])
 
-    def validate(self) -> dict[str, float]:
-        """Loss at fixed steps and noise, and the opening's correlation when starting from noise."""
+    def validate(self, part: int, parts: int) -> list[tuple[int, Any]]:
+        """Windows at fixed steps and noise, and clips sampled as a user would."""
         generator = torch.Generator().manual_seed(_VALIDATION_SEED)
         rng = numpy_generator(generator)
         sampler = SequenceSampler(self.held_out, {s.source: 1.0 for s in self.held_out})
-        count = self.options.validation_windows
-        items = [self._window(sampler.draw(rng), rng, altered=False) for _ in range(count)]
-        losses: list[float] = []
-        gaps: list[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]] = []
-        for first in range(0, count, self.batch_size):
-            stacked = self._stack(items[first : first + self.batch_size])
-            batch = {name: value.to(self.device) for name, value in stacked.items()}
-            noise = torch.randn(batch["motion"].shape, generator=generator).to(self.device)
-            for share in _VALIDATION_TIMESTEPS:
-                index = round(share * (self.model_options.num_train_steps - 1))
-                step = torch.full((len(noise),), index, device=self.device)
-                terms = self._terms(batch, step, noise)
-                losses.append(float(terms["loss"]))
-            guess = self._denoise(batch, step, noise)  # the last step is pure noise
-            valid = batch["valid"]
-            gaps.append(
-                (
-                    _gap(guess * self.spread + self.mean)[valid].cpu().numpy(),
-                    _gap(batch["motion"])[valid].cpu().numpy(),
-                )
-            )
-        guessed, true = (np.concatenate(side) for side in zip(*gaps, strict=True))
-        correlation = np.corrcoef(guessed, true)
-        loss = float(np.mean(losses))
-        return {"loss": loss, "opening_correlation": float(correlation[0, 1]), "score": loss}
+        count, size = self.options.validation_windows, self.batch_size
+        items = [self.windows.cut(sampler.draw(rng), rng, altered=False) for _ in range(count)]
+        records: list[tuple[int, Any]] = []
+        for number, first in enumerate(range(0, count, size)):
+            stacked = self.windows.stack(items[first : first + size])
+            noise = torch.randn(stacked["motion"].shape, generator=generator)
+            if number % parts == part:
+                records.append((number, self._denoised({**stacked, "noise": noise})))
+        for number, clip in enumerate(self._sampled_clips()):
+            if number % parts == part:
+                records.append((count + number, self._sampled(clip, number)))
+        return records
+
+    def _denoised(self, stacked: dict[str, Any]) -> dict[str, Any]:
+        """Losses at fixed diffusion steps, and the opening that is guessed from noise."""
+        batch = {name: value.to(self.device) for name, value in stacked.items()}
+        noise, losses = batch["noise"], []
+        for share in _VALIDATION_TIMESTEPS:
+            index = round(share * (self.model_options.num_train_steps - 1))
+            step = torch.full((len(noise),), index, device=self.device)
+            losses.append(float(self._terms(batch, step, noise)["loss"]))
+        guess = self._denoise(batch, step, noise)  # the last step is pure noise
+        openings = [_gap(guess * self.spread + self.mean), _gap(batch["motion"])]
+        return {"losses": losses, "openings": [one[batch["valid"]].cpu() for one in openings]}
+
+    def _sampled_clips(self) -> list[MotionSequence]:
+        """Held-out clips with sound, spread over the split."""
+        heard = [s for s in self.held_out if s.has_sound]
+        at = np.linspace(0, len(heard) - 1, min(self.options.validation_samples, len(heard)))
+        return [heard[int(index)] for index in at.round()]
+
+    def _sampled(self, clip: MotionSequence, seed: int) -> dict[str, Any]:
+        """Errors and opening of a clip that is spoken from noise, against the recorded motion."""
+        copy = self.features.copies(clip)[0]
+        features = torch.from_numpy(self.features.features(copy, 0, _SAMPLED_FRAMES))
+        emotion = torch.zeros(len(self.corpus.emotions))
+        emotion[clip.emotion] = 1.0
+        options = GenerateOptions(sampler="dpmpp", num_steps=_SAMPLED_STEPS)
+        motion = generate(
+            self.model,
+            features.to(self.device),
+            emotion=emotion.to(self.device),
+            intensity=float(clip.intensity),
+            options=options,
+            seed=seed,
+        ).cpu()
+        true = torch.from_numpy(self.corpus.landmarks(clip, 0, len(motion)))
+        motion = motion[: len(true)]
+        return {
+            "sampled": [*vertex_errors(motion, true, LIPS), len(true)],
+            "openings": [torch.from_numpy(lip_opening(one.numpy())) for one in (motion, true)],
+        }
+
+    def scores(self, records: list[Any]) -> dict[str, float]:
+        """Loss, the opening's correlation, and the same of sampled clips with LVE and MVE of the landmarks."""
+        loss = float(np.mean([value for one in records for value in one.get("losses", [])]))
+        found = {"loss": loss, "opening_correlation": _correlation(records, "losses")}
+        sampled = np.array([one["sampled"] for one in records if "sampled" in one])
+        if len(sampled):
+            means = np.average(sampled[:, :2], axis=0, weights=sampled[:, 2])
+            found["sampled_lve_mm2"], found["sampled_mve_mm"] = map(float, means)
+            found["sampled_opening_correlation"] = _correlation(records, "sampled")
+        return {**found, "score": loss}
 
     def export(self, directory: Path, training: dict[str, Any]) -> None:
         """Weights and options; the motion statistics keep full precision."""
@@ -279,10 +329,10 @@ class AtsTask:
 
     def _denoise(self, batch: dict[str, Any], step: Tensor, noise: Tensor) -> Tensor:
         clean = self._normalised(batch)
-        rehearsed: Tensor | None = batch.get("rehearsed")
-        if rehearsed is not None and bool(rehearsed.any()):
-            rows = rehearsed.nonzero()[:, 0]
-            some = {name: value[rows] for name, value in batch.items() if name != "counts"}
+        rows: Tensor | None = batch.get("rehearsed")
+        if rows is not None and len(rows):
+            whole = ("counts", "rehearsed")
+            some = {name: value[rows] for name, value in batch.items() if name not in whole}
             with torch.no_grad():
                 last = torch.full_like(step[rows], self.model_options.num_train_steps - 1)
                 own = self._estimate(some, last, noise[rows]) * some["valid"][..., None]
@@ -303,77 +353,9 @@ class AtsTask:
         )
         return guess.float()
 
-    def _window(
-        self,
-        sequence: MotionSequence,
-        rng: np.random.Generator,
-        first: int | None = None,
-        altered: bool = True,
-    ) -> dict[str, Any]:
-        """A window that begins at frame `first` of a sequence, or at a drawn one."""
-
-        def piece(
-            source: MotionSequence, frames: int, given: int | None = None
-        ) -> tuple[FloatArray, FloatArray]:
-            copies = self.features.copies(source)
-            copy = copies[int(rng.integers(len(copies)))] if altered else copies[0]
-            latest = max(0, copy.num_frames - frames)
-            drawn = int(rng.integers(0, latest + 1))
-            start = drawn if given is None else min(round(given / copy.speed), latest)
-            audio = self.features.features(copy, start, start + frames)
-            at = (start + np.arange(len(audio))) * copy.speed
-            low, stop = int(at[0]), int(at[-1]) + 2
-            return audio, interpolate_frames(self.corpus.landmarks(source, low, stop), at - low)
-
-        length = self.model_options.max_frames
-        if altered and rng.random() < self.options.mosaic:
-            audio, motion = self.mosaics.window(sequence, length, piece, rng)
-        else:
-            audio, motion = piece(sequence, length, first)
-        if altered:
-            o = self.options
-            audio = self.features.altered(
-                audio, o.feature_noise, o.feature_shift, o.feature_dropout, rng
-            )
-        return {
-            "audio": audio,
-            "motion": motion.reshape(len(motion), -1),
-            "emotion": np.eye(len(self.corpus.emotions), dtype=np.float32)[sequence.emotion],
-            "intensity": sequence.intensity,
-        }
-
     def _diffusion_step(self, rng: np.random.Generator) -> int:
         steps = self.model_options.num_train_steps
         return min(int(steps * rng.random() ** (1 / self.options.step_power)), steps - 1)
-
-    def _stack(self, items: list[dict[str, Any]]) -> dict[str, Any]:
-        longest = max(len(item["motion"]) for item in items)
-        audio = torch.zeros(len(items), longest, self.features.width)
-        motion = torch.zeros(len(items), longest, 3 * NUM_LANDMARKS)
-        valid = torch.zeros(len(items), longest, dtype=torch.bool)
-        emotion = torch.zeros(len(items), len(self.corpus.emotions))
-        for row, item in enumerate(items):
-            frames = len(item["motion"])
-            audio[row, :frames] = torch.from_numpy(item["audio"])
-            motion[row, :frames] = torch.from_numpy(item["motion"])
-            valid[row, :frames] = True
-            emotion[row] = torch.from_numpy(item["emotion"])
-        intensity = torch.tensor([item["intensity"] for item in items], dtype=torch.float32)
-        return {
-            "audio": audio,
-            "motion": motion,
-            "valid": valid,
-            "emotion": emotion,
-            "intensity": intensity,
-        }
-
-    def _longest_window(self) -> int:
-        """Frames of the longest window that the network is shown."""
-        longest = max(
-            copy.num_frames for s in self.sampler.sequences for copy in self.features.copies(s)
-        )
-        most = self.model_options.max_frames
-        return most if self.options.mosaic > 0 else min(most, longest)
 
     def _normalised(self, batch: dict[str, Any]) -> Tensor:
         """Motion in units of its spread, 0 on padding; (B, T, 204)."""
@@ -396,3 +378,11 @@ def _gap(motion: Tensor) -> Tensor:
     """Opening (..., T) of the inner lips in motion (..., T, 204)."""
     points = motion.unflatten(-1, (NUM_LANDMARKS, 3))
     return points[..., UPPER_INNER_LIP, 1] - points[..., LOWER_INNER_LIP, 1]
+
+
+def _correlation(records: list[Any], kind: str) -> float:
+    """Of guessed and true opening over all records of a kind."""
+    openings = [one["openings"] for one in records if kind in one]
+    guessed, true = (torch.cat(side).numpy() for side in zip(*openings, strict=True))
+    with np.errstate(invalid="ignore"):
+        return float(np.corrcoef(guessed, true)[0, 1])

@@ -1,4 +1,4 @@
-"""Checkpoints: a folder per saved step, swapped in whole; tensors as safetensors, the rest as JSON."""
+"""Checkpoints: a folder per saved step, swapped in whole."""
 
 from __future__ import annotations
 
@@ -10,54 +10,42 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from freetalk import _native
 from freetalk._files import beside, flush, write_json
 
 _POINTER = "last.json"
-_VERSION = 3
+_VERSION = 4
 
 
 def save_checkpoint(
     directory: Path,
     step: int,
-    tensors: dict[str, dict[str, Tensor]],
-    optimizer: dict[str, Any],
     state: dict[str, Any],
-    export: Callable[[Path], None],
+    write: Callable[[Path], None],
     keep: int = 1,
 ) -> None:
     """Saves a step and forgets older ones; stopping at any moment leaves a whole one.
 
-    A checkpoint is a folder: what `export` writes (``config.json`` with the options and
-    ``model.safetensors``, which ``from_pretrained`` and C++ load), each group of `tensors`, and
-    ``optimizer.pt`` and ``state.json`` to go on from.
+    A checkpoint is a folder: what `write` leaves there (``config.json`` with the options and
+    ``model.safetensors``, which ``from_pretrained`` and C++ load, and ``state/`` to go on from), and
+    ``state.json``.
 
     Args:
         directory: folder of the checkpoints.
         step: number of finished steps.
-        tensors: groups of tensors, each written to its own safetensors file.
-        optimizer: ``state_dict()`` of the optimiser and of what belongs to it.
         state: JSON values.
-        export: writes the weights for inference into a folder.
+        write: fills the folder.
         keep: checkpoints that stay, the newest.
     """
     directory.mkdir(parents=True, exist_ok=True)
     name = _unused_name(directory, step)
     temporary = beside(directory / name)
     temporary.mkdir()
-    for group, items in tensors.items():
-        contiguous = {key: value.detach().cpu().contiguous() for key, value in items.items()}
-        _native.core.save_safetensors(str(temporary / f"{group}.safetensors"), contiguous)
-    export(temporary)
-    torch.save(optimizer, temporary / "optimizer.pt")
-    groups = sorted(tensors)
-    write_json(
-        temporary / "state.json", {"version": _VERSION, "step": step, "groups": groups, **state}
-    )
-    for path in [*temporary.iterdir(), temporary]:
+    write(temporary)
+    write_json(temporary / "state.json", {"version": _VERSION, "step": step, **state})
+    for path in [*temporary.rglob("*"), temporary]:
         flush(path)
     temporary.replace(directory / name)
     write_json(directory / _POINTER, {"checkpoint": name})
@@ -94,23 +82,6 @@ def load_state(path: Path) -> dict[str, Any]:
             f"anew from its weights (task.init) with another --out"
         )
     return state
-
-
-def load_checkpoint(
-    path: Path,
-) -> tuple[dict[str, dict[str, Tensor]], dict[str, Any], dict[str, Any]]:
-    """Reads back what :func:`save_checkpoint` wrote: tensors, optimiser state, JSON values.
-
-    Raises:
-        ValueError: another version of freetalk wrote it.
-    """
-    state = load_state(path)
-    tensors = {
-        group: _native.core.load_safetensors(str(path / f"{group}.safetensors"))
-        for group in state["groups"]
-    }
-    optimizer = torch.load(path / "optimizer.pt", map_location="cpu", weights_only=True)
-    return tensors, optimizer, state
 
 
 def _unused_name(directory: Path, step: int) -> str:

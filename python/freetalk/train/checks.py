@@ -13,7 +13,10 @@ NO_VALIDATION = (
     "splits.json"
 )
 #: Task options that do not change what is learnt.
-_FREE = ("operator_cache", "feature_cache", "validation_windows", "validation_crops")
+_FREE = (
+    *("operator_cache", "feature_cache"),
+    *("validation_windows", "validation_samples", "validation_crops"),
+)
 
 
 def check_continues(checkpoints: Path, config: TrainingConfig, data: str) -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from freetalk.train.curves import LOGGERS
 from freetalk.train.task_options import (
     AtsTaskOptions,
     SpeechTaskOptions,
@@ -46,13 +47,18 @@ class LoopOptions:
         ema_decay: of the weight average that is validated and exported, 0 disables.
         bf16: run the networks under bfloat16 autocast.
         fp16: run them under float16 autocast with scaled gradients, for GPUs without bfloat16.
-        log_every: steps between TensorBoard points.
+        workers: processes of each training process that draw its items ahead; 0 draws in a thread; -1
+            takes 4 on a GPU, else 0.
+        loggers: where curves go: ``tensorboard`` (``OUT/tensorboard``), ``csv`` (``OUT/curves``), ``wandb``.
+        log_every: steps between points of the curves.
         validate_every: steps between validations (and exports), 0 only at the end.
         checkpoint_every: steps between checkpoints, 0 only at validations and at the end.
         keep: export the ``best`` validated weights or the ``last``.
+        select: the validation's score that the best are chosen by, such as ``sampled_lve_mm2``; of correlations
+            and accuracies the highest, of others the lowest.
         keep_checkpoints: newest checkpoints that stay.
         render_every: steps between rendered samples (a video in ``OUT/samples`` and a picture in
-            TensorBoard), 0 for none.
+            TensorBoard or W&B), 0 for none.
     """
 
     seed: int = 0
@@ -72,10 +78,13 @@ class LoopOptions:
     ema_decay: float = 0.0
     bf16: bool = False
     fp16: bool = False
+    workers: int = -1
+    loggers: list[str] = field(default_factory=lambda: ["tensorboard"])
     log_every: int = 10
     validate_every: int = 1000
     checkpoint_every: int = 500
     keep: str = "best"
+    select: str = "score"
     keep_checkpoints: int = 1
     render_every: int = 0
 
@@ -99,6 +108,8 @@ class LoopOptions:
             "loop.device": (self.device, ("auto", "cpu", "cuda")),
             "loop.keep": (self.keep, ("best", "last")),
         }
+        for logger in self.loggers:
+            choices[f"loop.loggers, {logger},"] = (logger, LOGGERS)
         for name, (value, known) in choices.items():
             require(value in known, f"{name} must be one of {', '.join(known)}", value)
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Protocol
 
 import numpy as np
 import torch
+from torch.utils.data import DataLoader, Dataset
 
 from freetalk.train.engine import Engine
 
 Batch = dict[str, Any]
+_Key = tuple[int, int]
 
 
 class DrawsItems(Protocol):
@@ -21,43 +24,57 @@ class DrawsItems(Protocol):
     """
 
     def item(self, rng: np.random.Generator, number: int) -> Any:
-        """The `number`-th item of the training; `rng` is its own."""
+        """The `number`-th item of the training; `rng` is its own. Touches no GPU: workers call it."""
 
     def collate(self, items: list[Any]) -> Batch:
         """Items as a batch, on the CPU."""
 
 
 class Draws:
-    """A process's shards of each step, drawn one step ahead in a thread.
+    """A process's shards of each step, drawn ahead by loader workers or a thread.
 
     Args:
         task: what is trained.
         engine: this process.
         seed: of the training.
+        workers: processes that draw, two passes ahead each; 0: a thread, a step ahead.
+        step: the first that is taken.
     """
 
-    def __init__(self, task: DrawsItems, engine: Engine, seed: int) -> None:
-        self._task = task
-        self._engine = engine
-        self._seed = seed
+    def __init__(
+        self, task: DrawsItems, engine: Engine, seed: int, workers: int = 0, step: int = 0
+    ) -> None:
+        self._task, self._engine, self._seed, self._next = task, engine, seed, step
+        self._items = _Items(task, seed, engine.batch_size)
+        loader: DataLoader[Any] = DataLoader(
+            self._items,
+            batch_sampler=self._keys(step),
+            collate_fn=task.collate,
+            num_workers=workers,
+            pin_memory=engine.device.type == "cuda",
+            generator=torch.Generator(),
+        )
+        self._batches = iter(loader)
         self._pool = ThreadPoolExecutor(1, "draws", initializer=engine.use_device)
-        self._ahead: tuple[int, Future[list[Batch]]] | None = None
+        self._ahead: Future[list[Batch]] = self._pool.submit(self._draw)
 
     def __enter__(self) -> Draws:
         return self
 
     def __exit__(self, *_: object) -> None:
         self._pool.shutdown(wait=True, cancel_futures=True)
+        del self._batches  # ends the workers
 
-    def take(self, step: int) -> list[Batch]:
-        """The batches of a step's forward passes, on the device."""
-        if self._ahead is not None and self._ahead[0] == step:
-            batches = self._ahead[1].result()
-        else:
-            batches = self._draw(step)
-        self._ahead = (step + 1, self._pool.submit(self._draw, step + 1))
+    def take(self) -> list[Batch]:
+        """The batches of the next step's forward passes, on the device."""
+        batches = self._ahead.result()
+        self._ahead = self._pool.submit(self._draw)
         self._share_counts(batches)
         return batches
+
+    def again(self, step: int) -> list[Batch]:
+        """The batches of an earlier step, on the CPU."""
+        return [self._task.collate([self._items[key] for key in keys]) for keys in self._of(step)]
 
     def generator(self, step: int, shard: int) -> torch.Generator:
         """Random numbers of one forward pass."""
@@ -67,23 +84,21 @@ class Draws:
         """A pass of this process among all passes of the step."""
         return self._engine.rank * self._engine.accumulation + number
 
-    def _draw(self, step: int) -> list[Batch]:
-        return [
-            self._engine.to_device(self._draw_shard(step, number))
-            for number in range(self._engine.accumulation)
-        ]
+    def _draw(self) -> list[Batch]:
+        accumulation = self._engine.accumulation
+        return [self._engine.to_device(next(self._batches)) for _ in range(accumulation)]
 
-    def _draw_shard(self, step: int, number: int) -> Batch:
+    def _keys(self, step: int) -> Iterator[list[_Key]]:
+        while True:
+            yield from self._of(step)
+            step += 1
+
+    def _of(self, step: int) -> Iterator[list[_Key]]:
+        """Step and item of each of this process's passes."""
         size = self._engine.shard_size
-        first = self.shard(number) * size
-        items = [
-            self._task.item(
-                np.random.default_rng([self._seed, step, index]),
-                step * self._engine.batch_size + index,
-            )
-            for index in range(first, first + size)
-        ]
-        return self._task.collate(items)
+        for number in range(self._engine.accumulation):
+            first = self.shard(number) * size
+            yield [(step, index) for index in range(first, first + size)]
 
     def _share_counts(self, batches: list[Batch]) -> None:
         if "counts" not in batches[0]:
@@ -92,6 +107,18 @@ class Draws:
         shared = self._engine.mean(own)
         for batch in batches:
             batch["counts"] = shared
+
+
+class _Items(Dataset[Any]):
+    """The task's items by step and place in the step."""
+
+    def __init__(self, task: DrawsItems, seed: int, batch_size: int) -> None:
+        self._task, self._seed, self._batch_size = task, seed, batch_size
+
+    def __getitem__(self, key: _Key) -> Any:
+        step, index = key
+        rng = np.random.default_rng([self._seed, step, index])
+        return self._task.item(rng, step * self._batch_size + index)
 
 
 def step_seed(seed: int, step: int, shard: int = 0) -> int:

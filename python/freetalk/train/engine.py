@@ -1,14 +1,15 @@
-"""Processes, devices and precision of a training.
+"""Processes, devices, precision and states of a training, all run by Hugging Face accelerate.
 
-Processes are those of ``torchrun`` or ``accelerate launch``, run by Hugging Face accelerate; one process
-without either is the same code with nothing to exchange.
+Processes are those of ``torchrun`` or ``accelerate launch``; one process without either is the same code with
+nothing to exchange.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from datetime import timedelta
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -16,7 +17,7 @@ from torch import Tensor, nn
 
 from freetalk.train.config import LoopOptions
 
-#: How long processes wait for the one that validates or prepares data.
+#: How long processes wait for the one that prepares data.
 _PATIENCE = timedelta(hours=12)
 
 
@@ -29,18 +30,17 @@ class Engine:
         num_processes: how many train together.
         batch_size: items of a step.
         shard_size: items of one forward pass of one process.
-        scaler: of fp16 gradients; passes everything on where fp16 is off.
 
     Args:
         options: device, precision and batch size.
 
     Raises:
-        ValueError: CUDA is asked for and absent, or the batch does not divide.
+        ValueError: the device is absent or does not have the precision, or the batch does not divide.
         RuntimeError: accelerate is missing, or was configured for a way of training that this is not.
     """
 
     def __init__(self, options: LoopOptions) -> None:
-        self._accelerator = _accelerator(choose_device(options))
+        self._accelerator = _accelerator(options)
         self.device: torch.device = self._accelerator.device
         self.rank: int = self._accelerator.process_index
         self.num_processes: int = self._accelerator.num_processes
@@ -54,9 +54,8 @@ class Engine:
             )
         self.batch_size = options.batch_size
         self.shard_size = options.batch_size // shards
-        self._dtype = torch.float16 if options.fp16 else torch.bfloat16
-        self._mixed = options.fp16 or options.bf16
-        self.scaler = torch.amp.GradScaler(self.device.type, enabled=options.fp16)
+        self._accelerator.register_save_state_pre_hook(_save_unwrapped)
+        self._accelerator.register_load_state_pre_hook(_load_unwrapped)
 
     @property
     def is_main(self) -> bool:
@@ -68,11 +67,14 @@ class Engine:
         if self.device.type == "cuda":
             torch.cuda.set_device(self.device)
 
-    def prepare(self, module: nn.Module, skips_layers: bool = False) -> nn.Module:
-        """The module that averages gradients over the processes.
+    def prepare(
+        self, module: nn.Module, optimizer: torch.optim.Optimizer, skips_layers: bool = False
+    ) -> tuple[nn.Module, Any]:
+        """The module in the options' precision that averages gradients over the processes, and its optimiser.
 
         Args:
             module: its forward pass is all that a backward pass sees.
+            optimizer: of its parameters.
             skips_layers: whether a pass may leave parameters out (layer drop).
         """
         from accelerate import DistributedDataParallelKwargs
@@ -80,11 +82,26 @@ class Engine:
         settings = DistributedDataParallelKwargs(find_unused_parameters=skips_layers)
         self._accelerator.ddp_handler = settings
         prepared: nn.Module = self._accelerator.prepare_model(module)
-        return prepared
+        return prepared, self._accelerator.prepare_optimizer(optimizer)
 
-    def autocast(self) -> AbstractContextManager[None]:
-        """bfloat16 or float16 where the options ask for it."""
-        return torch.autocast(self.device.type, dtype=self._dtype, enabled=self._mixed)
+    def keep(self, module: nn.Module) -> None:
+        """Makes a module that is not trained part of the saved state."""
+        self._accelerator.prepare_model(module, device_placement=False, evaluation_mode=True)
+
+    def backward(self, loss: Tensor) -> None:
+        """Gradients of a loss, scaled where the precision needs it."""
+        self._accelerator.backward(loss)
+
+    def clip(self, parameters: Iterable[nn.Parameter], largest: float) -> Tensor:
+        """Norm of the gradients, which it limits."""
+        norm: Tensor = self._accelerator.clip_grad_norm_(list(parameters), largest)
+        return norm
+
+    @property
+    def scale(self) -> float | None:
+        """What fp16 gradients are multiplied by; ``None`` in other precisions."""
+        scaler = self._accelerator.scaler
+        return None if scaler is None else float(scaler.get_scale())
 
     def last_of_step(self, module: nn.Module, last: bool) -> AbstractContextManager[None]:
         """Gradients are exchanged only by the last of a step's passes."""
@@ -93,12 +110,29 @@ class Engine:
         )
         return context
 
+    def save_state(self, folder: Path) -> None:
+        """Writes weights, optimiser and scaler."""
+        self._accelerator.save_state(str(folder))
+
+    def load_state(self, folder: Path) -> None:
+        """Reads back what :meth:`save_state` wrote, in any number of processes."""
+        self._accelerator.load_state(str(folder))
+
     def mean(self, values: Tensor) -> Tensor:
         """Mean over the processes, the same in each."""
         if self.num_processes == 1:
             return values
         mean: Tensor = self._accelerator.reduce(values, reduction="mean")
         return mean
+
+    def gathered(self, value: Any) -> list[Any]:
+        """Every process's value, in order, in each."""
+        if self.num_processes == 1:
+            return [value]
+        from accelerate.utils import gather_object
+
+        found: list[Any] = gather_object([value])
+        return found
 
     def from_main(self, value: Any) -> Any:
         """The main process's value, in each; waits for it."""
@@ -115,7 +149,7 @@ class Engine:
             yield
 
     def to_device(self, batch: Any) -> Any:
-        """Tensors of nested containers on this process's device; copies to a GPU do not wait."""
+        """Tensors of nested containers on this process's device; copies from pinned memory do not wait."""
         return moved(batch, self.device)
 
 
@@ -129,15 +163,14 @@ class StepLoss(nn.Module):
 
     def forward(self, batch: dict[str, Any], generator: torch.Generator) -> dict[str, Tensor]:
         """The task's terms."""
-        return self._loss(batch, generator)
+        terms: dict[str, Tensor] = self._loss(batch, generator)
+        return terms
 
 
 def moved(batch: Any, device: torch.device) -> Any:
     """Nested dictionaries and lists with their tensors on a device."""
     if isinstance(batch, Tensor):
-        if device.type == "cuda" and not batch.is_cuda:
-            return batch.pin_memory().to(device, non_blocking=True)
-        return batch.detach().to(device)
+        return batch.detach().to(device, non_blocking=True)
     if isinstance(batch, dict):
         return {key: moved(value, device) for key, value in batch.items()}
     if isinstance(batch, list):
@@ -158,10 +191,26 @@ def choose_device(options: LoopOptions) -> torch.device:
     return torch.device(options.device)
 
 
-def _accelerator(device: torch.device) -> Any:
+def _save_unwrapped(models: list[nn.Module], weights: list[Any], folder: str) -> None:
+    """States are those of one process, whatever averages gradients around them."""
+    from accelerate.utils import extract_model_from_parallel
+
+    weights[:] = [extract_model_from_parallel(model).state_dict() for model in models]
+
+
+def _load_unwrapped(models: list[nn.Module], folder: str) -> None:
+    from accelerate.utils import extract_model_from_parallel
+
+    models[:] = [extract_model_from_parallel(model) for model in models]
+
+
+def _accelerator(options: LoopOptions) -> Any:
+    device = choose_device(options)
+    if options.fp16 and device.type == "cpu":
+        raise ValueError("loop.fp16 needs a GPU; loop.bf16 runs on processors too")
     try:
         from accelerate import Accelerator, InitProcessGroupKwargs
-        from accelerate.state import AcceleratorState, is_initialized
+        from accelerate.state import AcceleratorState, PartialState, is_initialized
         from accelerate.utils import DistributedType
     except ImportError as error:
         raise RuntimeError(
@@ -169,12 +218,11 @@ def _accelerator(device: torch.device) -> Any:
         ) from None
     # accelerate keeps device and precision for the life of the interpreter; here each training has its own.
     if is_initialized():
-        earlier = AcceleratorState()
-        if earlier.num_processes == 1 and earlier.device.type != device.type:
-            AcceleratorState._reset_state(reset_partial_state=True)
+        alone = PartialState().num_processes == 1
+        AcceleratorState._reset_state(reset_partial_state=alone)
     accelerator = Accelerator(
         cpu=device.type == "cpu",
-        mixed_precision="no",
+        mixed_precision="bf16" if options.bf16 else "fp16" if options.fp16 else "no",
         kwargs_handlers=[InitProcessGroupKwargs(timeout=_PATIENCE)],
     )
     known = (DistributedType.NO, DistributedType.MULTI_CPU, DistributedType.MULTI_GPU)

@@ -8,71 +8,32 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sized
-from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
+from torch.optim.swa_utils import AveragedModel
 
-from freetalk.train.checkpoint import (
-    find_checkpoint,
-    git_commit,
-    load_checkpoint,
-    save_checkpoint,
-)
+from freetalk.train.checkpoint import find_checkpoint, git_commit, load_state, save_checkpoint
 from freetalk.train.checks import check_continues
 from freetalk.train.config import LoopOptions, TrainingConfig
-from freetalk.train.draws import Batch, Draws, DrawsItems, step_seed
-from freetalk.train.engine import Engine, StepLoss, moved
+from freetalk.train.draws import Batch, Draws, step_seed
+from freetalk.train.engine import Engine, StepLoss
 from freetalk.train.interrupts import stop_requests
 from freetalk.train.previews import ShowsSamples, save_sample
 from freetalk.train.progress import Progress, notice
-from freetalk.train.weights import Average, parameter_groups
+from freetalk.train.task import Task, TrainingResult
+from freetalk.train.weights import moving_average, parameter_groups
 
 #: An fp16 scale below which gradients overflow whatever it is.
 _SMALLEST_SCALE = 2.0**-14
-
-
-class Task(DrawsItems, Protocol):
-    """What differs between the trainings."""
-
-    @property
-    def epochs(self) -> Sized | None:
-        """The windows of an epoch, for ``loop.epochs``; ``None`` where the task has none."""
-
-    @property
-    def model(self) -> nn.Module:
-        """What is trained."""
-
-    def loss(self, batch: Batch, generator: torch.Generator) -> dict[str, Tensor]:
-        """Scalar terms; ``loss`` is minimised."""
-
-    def validate(self) -> dict[str, float]:
-        """Scores of the current weights; ``score`` is the one to minimise."""
-
-    def export(self, directory: Path, training: dict[str, Any]) -> None:
-        """Writes the current weights for inference, with how they came to be."""
-
-
-@dataclass(frozen=True)
-class TrainingResult:
-    """How a training ended: ``finished`` or ``interrupted``, after how many steps, with what scores.
-
-    Attributes:
-        directory: of the weights.
-        parameters: that were trained.
-        lacking: one sentence on what the output folder lacks to be a folder of weights; empty where it is one.
-    """
-
-    status: str
-    step: int
-    scores: dict[str, float]
-    directory: Path
-    parameters: int
-    lacking: str = ""
+#: Loader workers of a training on a GPU, where ``loop.workers`` is -1.
+_WORKERS_OF_A_GPU = 4
+#: Scores that are the better the higher they are have one of these in their name.
+_HIGHER_IS_BETTER = ("correlation", "accuracy")
 
 
 class Trainer:
@@ -106,17 +67,30 @@ class Trainer:
         self.engine = engine or Engine(config.loop)
         self.checkpoints = out / "checkpoints" / config.kind
         skips_layers = float(config.model.get("layerdrop", 0.0)) > 0
-        self.module = self.engine.prepare(StepLoss(task), skips_layers)
-        self.optimizer = torch.optim.AdamW(
-            parameter_groups(task.model, self.options.weight_decay),
-            lr=self.options.learning_rate,
-            fused=True,
+        self.module, self.optimizer = self.engine.prepare(
+            StepLoss(task),
+            torch.optim.AdamW(
+                parameter_groups(task.model, self.options.weight_decay),
+                lr=self.options.learning_rate,
+                fused=True,
+            ),
+            skips_layers,
         )
-        self.average = Average(task.model, self.options.ema_decay)
+        self.average: AveragedModel | None = None
+        if self.options.ema_decay > 0:
+            self.average = moving_average(task.model, self.options.ema_decay)
+            self.engine.keep(self.average)
         self.step = 0
         self.elapsed_s = 0.0
         self.best = math.inf
         self.scores: dict[str, float] = {}
+        self._names: list[str] = []  # of the terms
+        self._unread: list[Tensor] = []  # terms of the last steps, on the device
+        self._broken = torch.zeros(
+            (), device=self.engine.device
+        )  # 1 after a step that is not finite
+        self._spent_s = 0.0  # in those steps, by this process
+        self._read_at = 0
         self._asked_to_stop = False  # this process
         self._stop = False  # all of them
         self._saved_step = -1
@@ -127,8 +101,7 @@ class Trainer:
             return self._result("finished")
         self.task.model.train()
         progress = Progress(self.config, self.out, self.step, self.max_steps, self.engine.is_main)
-        draws = Draws(self.task, self.engine, self.options.seed)
-        with stop_requests(self.request_stop), progress, draws:
+        with stop_requests(self.request_stop), progress, self.draws() as draws:
             try:
                 self._loop(draws, progress)
             except Exception:
@@ -142,54 +115,70 @@ class Trainer:
             self._checkpoint(whole=True)
         return self._result("finished")
 
+    def draws(self) -> Draws:
+        """What the steps from here on see."""
+        workers = self.options.workers
+        if workers < 0:
+            workers = _WORKERS_OF_A_GPU if self.engine.device.type == "cuda" else 0
+        return Draws(self.task, self.engine, self.options.seed, workers, self.step)
+
     def request_stop(self) -> bool:
         """Ends the run after the step in progress; whether that was asked for before."""
         before, self._asked_to_stop = self._asked_to_stop, True
         return before
 
+    def advance(self, draws: Draws) -> dict[str, float]:
+        """A step, and its terms once the device has finished it."""
+        self._train_step(draws)
+        return self._read(draws)
+
     def _loop(self, draws: Draws, progress: Progress) -> None:
         options = self.options
         while not self._stop and not self._finished():
-            terms = self._train_step(draws)
-            if self._is_due(options.log_every) or progress.is_due():
+            self._train_step(draws)
+            logged = self._is_due(options.log_every)
+            stops = [options.validate_every, options.checkpoint_every, options.render_every]
+            if logged or self.step >= self._read_at or any(map(self._is_due, stops)):
+                terms = self._read(draws)
                 terms["learning_rate"] = self._learning_rate()
-                logged = self._is_due(options.log_every)
                 progress.show(self.step, self.elapsed_s, self._progress(), terms, logged)
             if self._is_due(options.render_every):
                 self._render(progress)
             if self._finished():
-                return
+                break
             if self._is_due(options.validate_every):
                 self._validate(progress)
                 self._checkpoint()
             elif self._is_due(options.checkpoint_every):
                 self._checkpoint()
+        if self._unread:
+            self._read(draws)
 
-    def _train_step(self, draws: Draws) -> dict[str, float]:
+    def _train_step(self, draws: Draws) -> None:
+        """Forward, backward and update, without waiting for the device."""
         began = time.perf_counter()
-        batches = draws.take(self.step)
+        batches = draws.take()
         for group in self.optimizer.param_groups:
             group["lr"] = self._learning_rate()
         self.optimizer.zero_grad(set_to_none=True)
         passes = [self._pass(draws, batches, number) for number in range(len(batches))]
-        self.engine.scaler.unscale_(self.optimizer)
-        norm = nn.utils.clip_grad_norm_(
-            self.task.model.parameters(), self.options.grad_clip or math.inf
-        )
-        names = list(passes[0])
-        means = [torch.stack([found[name] for found in passes]).mean() for name in names]
-        shared = self.engine.mean(torch.stack([*means, norm.detach()]).float())
-        found = dict(
-            zip([*names, "gradient_norm"], shared.tolist())
-        )  # the step's one wait for a GPU
-        if not self._is_sound(found):
-            self._fail(batches, passes, found)
-        self.engine.scaler.step(self.optimizer)
-        self.engine.scaler.update()
+        norm = self.engine.clip(self.task.model.parameters(), self.options.grad_clip or math.inf)
+        self._names = list(passes[0])
+        means = [torch.stack([found[name] for found in passes]).mean() for name in self._names]
+        found = torch.stack([*means, norm.detach()]).float()
+        if not self.options.fp16:
+            # AdamW leaves the weights as they are where this is 1: a bad step is told later, and none follows it.
+            judged = found[[self._names.index("loss"), -1]]
+            self._broken = torch.maximum(self._broken, (~judged.isfinite().all()).float())
+            self.optimizer.optimizer.found_inf = self._broken
+        self.optimizer.step()
         self.step += 1
-        self.average.update(self.task.model, self.step)
-        self._agree(time.perf_counter() - began)
-        return found
+        if self.average is not None:
+            self.average.update_parameters(self.task.model)
+        self._unread.append(found)
+        self._spent_s += time.perf_counter() - began
+        if self.engine.num_processes == 1:
+            self._stop = self._asked_to_stop
 
     def _pass(self, draws: Draws, batches: list[Batch], number: int) -> dict[str, Tensor]:
         """Forward and backward of one of a step's batches; gradients add up to the step's mean."""
@@ -197,39 +186,56 @@ class Trainer:
         # Dropout draws globally.
         torch.manual_seed(step_seed(self.options.seed + 1, self.step, draws.shard(number)))
         with self.engine.last_of_step(self.module, number == len(batches) - 1):
-            with self.engine.autocast():
-                terms: dict[str, Tensor] = self.module(batches[number], generator)
-            scaled = self.engine.scaler.scale(terms["loss"] / len(batches))
-            scaled.backward()  # type: ignore[no-untyped-call]
+            terms: dict[str, Tensor] = self.module(batches[number], generator)
+            self.engine.backward(terms["loss"] / len(batches))
         return {name: value.detach() for name, value in terms.items()}
 
-    def _agree(self, seconds: float) -> None:
-        """All processes stop together and follow one clock."""
-        if self.engine.num_processes > 1:
-            own = torch.tensor([seconds, float(self._asked_to_stop)], device=self.engine.device)
-            seconds, asked = self.engine.mean(own).tolist()
-            self._stop = asked > 0
-        else:
-            self._stop = self._asked_to_stop
+    def _read(self, draws: Draws) -> dict[str, float]:
+        """Waits for the device: terms of the last step, after a look at all that were not read.
+
+        All processes read after the same steps, follow one clock and stop together.
+        """
+        began = time.perf_counter()
+        found = torch.stack(self._unread)
+        first = self.step - len(self._unread)
+        rows = self.engine.mean(found).tolist()
+        self._unread = []
+        self._spent_s += time.perf_counter() - began
+        names = [*self._names, "gradient_norm"]
+        for at, row in enumerate(rows):
+            if not self._is_sound(dict(zip(names, row))):
+                self._fail(draws, first + at, dict(zip(names, row)))
+        seconds, asked = self._agree(self._spent_s)
+        self._stop = self._stop or asked
+        self._spent_s = 0.0
         self.elapsed_s += seconds
+        self._read_at = self.step + max(1, min(100, int(len(rows) / max(seconds, 1e-6))))
+        return dict(zip(names, rows[-1]))
+
+    def _agree(self, seconds: float) -> tuple[float, bool]:
+        """Seconds since the last agreement by all processes' mean, and whether one was told to stop."""
+        if self.engine.num_processes == 1:
+            return seconds, self._asked_to_stop
+        own = torch.tensor([seconds, float(self._asked_to_stop)], device=self.engine.device)
+        mean, asked = self.engine.mean(own).tolist()
+        return mean, asked > 0
 
     def _is_sound(self, found: dict[str, float]) -> bool:
         if not math.isfinite(found["loss"]):
             return False
         if self.options.fp16:  # the scaler skips overflowing steps and lowers the scale
-            return self.engine.scaler.get_scale() > _SMALLEST_SCALE
+            return (self.engine.scale or 0.0) > _SMALLEST_SCALE
         return math.isfinite(found["gradient_norm"])
 
-    def _fail(
-        self, batches: list[Batch], passes: list[dict[str, Tensor]], found: dict[str, float]
-    ) -> None:
-        bad = [b for b, p in zip(batches, passes) if not torch.isfinite(p["loss"])] or batches
+    def _fail(self, draws: Draws, step: int, found: dict[str, float]) -> None:
+        self.step = step  # the steps after it changed nothing
+        batches = draws.again(step)
         rank = f"_{self.engine.rank}" if self.engine.rank else ""
         path = self.out / f"failed_batch_{self.config.kind}{rank}.pt"
-        torch.save(moved(bad[0] if len(bad) == 1 else bad, torch.device("cpu")), path)
+        torch.save(batches[0] if len(batches) == 1 else batches, path)
         shown = ", ".join(f"{name} {value}" for name, value in found.items())
         raise RuntimeError(
-            f"step {self.step} of {self.config.kind} is not finite ({shown}); its batch is saved as "
+            f"step {step} of {self.config.kind} is not finite ({shown}); its batch is saved as "
             f"{path}. Lower loop.learning_rate or look at that batch"
         )
 
@@ -264,29 +270,44 @@ class Trainer:
     @contextmanager
     def _evaluating(self) -> Iterator[None]:
         """The averaged weights in eval mode, and no gradients."""
-        model = self.task.model
-        model.eval()
-        averaged = self.average.applied(model) if self.average.weights else nullcontext()
+        trained = self.task.model
+        self.task.model = trained if self.average is None else self.average.module
+        self.task.model.eval()
         try:
-            with averaged, torch.no_grad():
+            with torch.no_grad():
                 yield
         finally:
-            model.train()
+            self.task.model = trained
+            trained.train()
 
     def _validate(self, progress: Progress) -> None:
-        """Scores the weights and exports them where they are the best, on the main process."""
-        if self.engine.is_main:
-            began = time.perf_counter()
-            with self._evaluating():
-                # Lips that never move have no correlation; JSON has no NaN, and C++ reads the scores.
-                found = self.task.validate().items()
-                self.scores = {name: value for name, value in found if math.isfinite(value)}
-                score = self.scores.get("score", math.inf)
-                if self.options.keep == "last" or score <= self.best:
-                    self.best = score
+        """Scores the weights, each process its part, and exports them where they are the best."""
+        began = time.perf_counter()
+        with self._evaluating():
+            part = self.task.validate(self.engine.rank, self.engine.num_processes)
+            parts = [record for own in self.engine.gathered(part) for record in own]
+            records = [record for _, record in sorted(parts, key=lambda numbered: numbered[0])]
+            # Lips that never move have no correlation; JSON has no NaN, and C++ reads the scores.
+            found = self.task.scores(records).items()
+            self.scores = {name: value for name, value in found if math.isfinite(value)}
+            score = self._selected()
+            if self.options.keep == "last" or score <= self.best:
+                self.best = score
+                if self.engine.is_main:
                     self.task.export(self.out / self.config.kind, self._training_record())
+        if self.engine.is_main:
             progress.show_scores(self.step, self.scores, time.perf_counter() - began)
-        self.scores = self.engine.from_main(self.scores)
+
+    def _selected(self) -> float:
+        """The score that the best weights are chosen by, the smaller the better."""
+        name = self.options.select
+        if name not in self.scores:
+            known = ", ".join(sorted(self.scores)) or "none"
+            raise ValueError(
+                f"loop.select={name} is no score of this validation; there are: {known}"
+            )
+        higher = any(word in name for word in _HIGHER_IS_BETTER)
+        return -self.scores[name] if higher else self.scores[name]
 
     def _render(self, progress: Progress) -> None:
         if self.engine.is_main and isinstance(self.task, ShowsSamples):
@@ -320,12 +341,6 @@ class Trainer:
 
     def _save(self, whole: bool) -> None:
         """Writes a checkpoint of the steps so far."""
-        tensors = {"training": dict(self.task.model.state_dict())}
-        if self.average.weights:
-            tensors["average"] = self.average.weights
-        optimizer = {"adamw": self.optimizer.state_dict()}
-        if self.options.fp16:
-            optimizer["scaler"] = self.engine.scaler.state_dict()
         state = {
             "config": self.config.to_dict(),
             "data": self.data,
@@ -334,15 +349,13 @@ class Trainer:
             "scores": self.scores,
             "finished": whole,
         }
-        save_checkpoint(
-            self.checkpoints,
-            self.step,
-            tensors,
-            optimizer,
-            state,
-            self._export,
-            self.options.keep_checkpoints,
-        )
+
+        def write(folder: Path) -> None:
+            self.engine.save_state(folder / "state")
+            with self._evaluating():
+                self.task.export(folder, self._training_record())
+
+        save_checkpoint(self.checkpoints, self.step, state, write, self.options.keep_checkpoints)
         self._saved_step = self.step
 
     def _save_after_failure(self) -> None:
@@ -355,25 +368,14 @@ class Trainer:
         except Exception as error:  # the first error is the one to tell
             notice(f"the {self.step} steps before could not be saved: {error}")
 
-    def _export(self, directory: Path) -> None:
-        with self._evaluating():
-            self.task.export(directory, self._training_record())
-
     def _resume(self) -> bool:
         """Goes to where a checkpoint was; whether that was the end."""
         check_continues(self.checkpoints, self.config, self.data)
         found = find_checkpoint(self.checkpoints)
         if found is None:
             return False
-        tensors, optimizer, state = load_checkpoint(found)
-        self.task.model.load_state_dict(tensors["training"])
-        if self.options.ema_decay > 0:
-            self.average = Average(self.task.model, self.options.ema_decay)
-            for name, value in tensors.get("average", {}).items():
-                self.average.weights[name].copy_(value)
-        self.optimizer.load_state_dict(optimizer["adamw"])
-        if self.options.fp16 and "scaler" in optimizer:
-            self.engine.scaler.load_state_dict(optimizer["scaler"])
+        state = load_state(found)
+        self.engine.load_state(found / "state")
         self.step = int(state["step"])
         self.elapsed_s = float(state["elapsed_s"])
         self.best = math.inf if state["best"] is None else float(state["best"])

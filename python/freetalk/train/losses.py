@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
@@ -138,3 +141,12 @@ def landmark_weights(lips: float, eyes: float, device: torch.device) -> Tensor |
     weights[list(LIPS)] = lips
     weights[list(EYES)] = eyes
     return (weights / weights.mean()).to(device)
+
+
+def vertex_errors(
+    prediction: Tensor, target: Tensor, lips: Tensor | Sequence[int]
+) -> tuple[float, float]:
+    """LVE (mm^2, mean over frames of the lips' largest squared error) and MVE (mm) of motion (T, P, 3) m."""
+    error = MILLIMETRES * (prediction - target).norm(dim=-1)
+    lve = error[:, lips].square().amax(dim=-1).mean() if len(lips) else error.new_tensor(math.nan)
+    return float(lve), float(error.mean())

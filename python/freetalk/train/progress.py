@@ -1,8 +1,7 @@
-"""What a training shows while it runs: a bar on the terminal, curves and pictures in TensorBoard."""
+"""What a training shows while it runs: a bar on the terminal, curves and pictures."""
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import time
@@ -14,6 +13,7 @@ import numpy.typing as npt
 from tqdm import tqdm
 
 from freetalk.train.config import TrainingConfig
+from freetalk.train.curves import Curves
 
 
 def is_main_process() -> bool:
@@ -28,7 +28,7 @@ def notice(text: str) -> None:
 
 
 class Progress:
-    """The bar and the TensorBoard writer of the main process; other processes show nothing.
+    """The bar and the curves of the main process; other processes show nothing.
 
     Args:
         config: of the training.
@@ -53,14 +53,9 @@ class Progress:
             disable=not shown,
         )
         self._seen = step
-        self._seen_at = self._drawn_at = time.perf_counter()
+        self._seen_at = time.perf_counter()
         if shown:
-            from torch.utils.tensorboard import SummaryWriter
-
-            folder = out / "tensorboard" / config.kind
-            self._writer: Any = SummaryWriter(str(folder), purge_step=step)
-            text = json.dumps(config.to_dict(), indent=2).replace("\n", "\n    ")
-            self._writer.add_text("config", f"    {text}", step)
+            self._curves = Curves(config.loop.loggers, out, config.to_dict(), step)
 
     def __enter__(self) -> Progress:
         return self
@@ -68,11 +63,7 @@ class Progress:
     def __exit__(self, *_: object) -> None:
         self._bar.close()
         if self._shown:
-            self._writer.close()
-
-    def is_due(self) -> bool:
-        """Whether the bar is more than a second old."""
-        return self._shown and time.perf_counter() - self._drawn_at > 1.0
+            self._curves.close()
 
     def show(
         self, step: int, elapsed_s: float, done: float, terms: dict[str, float], logged: bool
@@ -84,35 +75,33 @@ class Progress:
             elapsed_s: seconds of training so far.
             done: share of the training that is done.
             terms: values of the step.
-            logged: whether TensorBoard gets them.
+            logged: whether the curves get them.
         """
         if not self._shown:
             return
         now = time.perf_counter()
         rate = (step - self._seen) * self._options.batch_size / max(now - self._seen_at, 1e-9)
         if logged:
-            for name, value in {**terms, "items_per_second": rate}.items():
-                self._writer.add_scalar(f"train/{name}", value, step)
+            values = {**terms, "items_per_second": rate}
+            self._curves.log({f"train/{name}": value for name, value in values.items()}, step)
         left = elapsed_s * max(1 - done, 0.0) / done
         self._bar.n = min(done, 1.0)
         self._bar.set_description_str(
             f"{self._kind} step {step}/{self._steps}, loss {terms['loss']:.4g}, {rate:.1f} items/s, "
             f"{_clock(elapsed_s)} so far, {_clock(left)} left"
         )
-        self._drawn_at = now
         self._seen, self._seen_at = step, now
 
     def show_scores(self, step: int, scores: dict[str, float], seconds: float) -> None:
         """Adds a validation's scores to the curves and prints them."""
-        for name, value in scores.items():
-            self._writer.add_scalar(f"val/{name}", value, step)
+        self._curves.log({f"val/{name}": value for name, value in scores.items()}, step)
         shown = ", ".join(f"{name} {value:.4g}" for name, value in scores.items())
         tqdm.write(f"step {step}: {shown} ({seconds:.1f} s)", file=sys.stderr)
         self._seen_at += seconds  # not training
 
     def show_picture(self, step: int, picture: npt.NDArray[np.uint8], seconds: float) -> None:
         """Adds a picture (H, W, 3) of a sample."""
-        self._writer.add_image("sample", picture, step, dataformats="HWC")
+        self._curves.picture(picture, step)
         self._seen_at += seconds
 
 

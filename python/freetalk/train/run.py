@@ -16,8 +16,9 @@ from freetalk.train.checks import check_continues
 from freetalk.train.config import TrainingConfig, load_config
 from freetalk.train.engine import Engine
 from freetalk.train.initial import start_from
-from freetalk.train.loop import Task, Trainer, TrainingResult
+from freetalk.train.loop import Trainer
 from freetalk.train.progress import is_main_process
+from freetalk.train.task import Task, TrainingResult
 from freetalk.viz import check_video_support
 
 

@@ -134,35 +134,42 @@ class SpeechTask:
         """Weighted sum of the four teachers' losses."""
         return self._terms(batch, *self._predict(batch))
 
-    def validate(self) -> dict[str, float]:
-        """Loss, phone accuracy and opening correlation on unaltered crops of the val split."""
-        sums: dict[str, list[float]] = {}
-        predicted: dict[str, list[npt.NDArray[np.float32]]] = {}
-        true: dict[str, list[npt.NDArray[np.float32]]] = {}
-        for batch in self._validation_batches():
-            predictions = self._predict(batch)
-            phones, _, _, opening = predictions
-            valid = batch["valid"]
-            terms = self._terms(batch, *predictions)
-            known = batch["phones"] != IGNORED_PHONE
-            if bool(known.any()):
-                hits = (phones.argmax(-1) == batch["phones"])[known].float().mean()
-                sums.setdefault("phone_accuracy", []).append(float(hits))
-            for name, value in terms.items():
-                sums.setdefault(name, []).append(float(value))
-            for row, source in enumerate(batch["source"][:, 0].tolist()):
-                name = self.sources[source]
-                keep = valid[row]
-                predicted.setdefault(name, []).append(opening[row][keep].float().cpu().numpy())
-                true.setdefault(name, []).append(batch["opening"][row][keep].cpu().numpy())
-        scores = {name: float(np.mean(values)) for name, values in sums.items()}
-        for name in predicted:
-            wanted = np.concatenate(true[name])
+    def validate(self, part: int, parts: int) -> list[tuple[int, Any]]:
+        """Unaltered crops of the val split, a batch a record."""
+        batches = self._validation_batches()
+        return [(n, self._judged(batches[n])) for n in range(part, len(batches), parts)]
+
+    def _judged(self, cpu_batch: dict[str, Any]) -> dict[str, Any]:
+        """Terms and phone accuracy of a batch, and the openings (guessed, true) of each source."""
+        batch = moved(cpu_batch, self.device)
+        predictions = self._predict(batch)
+        phones, _, _, opening = predictions
+        terms = {n: float(value) for n, value in self._terms(batch, *predictions).items()}
+        known = batch["phones"] != IGNORED_PHONE
+        if bool(known.any()):
+            hits = (phones.argmax(-1) == batch["phones"])[known].float().mean()
+            terms["phone_accuracy"] = float(hits)
+        openings: dict[str, list[Any]] = {}
+        for row, source in enumerate(batch["source"][:, 0].tolist()):
+            both = torch.stack([opening[row].float(), batch["opening"][row].float()])
+            kept = both[:, batch["valid"][row]].cpu().numpy()
+            openings.setdefault(self.sources[source], []).append(kept)
+        return {"terms": terms, "openings": openings}
+
+    def scores(self, records: list[Any]) -> dict[str, float]:
+        """Loss, phone accuracy and, for each source, correlation of the opening."""
+        names = dict.fromkeys(name for one in records for name in one["terms"])
+        scores = {
+            name: float(np.mean([r["terms"][name] for r in records if name in r["terms"]]))
+            for name in names
+        }
+        for source in self.sources:
+            parts = [both for one in records for both in one["openings"].get(source, [])]
+            guessed, wanted = np.concatenate(parts, axis=1) if parts else np.zeros((2, 1))
             if wanted.std() > 1e-3:  # a resting face has no opening to follow
-                both = np.corrcoef(np.concatenate(predicted[name]), wanted)
-                scores[f"opening_correlation_{name}"] = float(both[0, 1])
-        scores["score"] = scores["loss"]
-        return scores
+                both = np.corrcoef(guessed, wanted)
+                scores[f"opening_correlation_{source}"] = float(both[0, 1])
+        return {**scores, "score": scores["loss"]}
 
     def export(self, directory: Path, training: dict[str, Any]) -> None:
         """The encoder alone, in the layout of Hugging Face."""
@@ -278,8 +285,7 @@ class SpeechTask:
                 drawn = [sampler.draw(rng) for _ in range(per_source)]
                 items += [self._crop(s, rng, altered=False) for s in drawn]
         size = self.batch_size
-        parts = [self.collate(items[i : i + size]) for i in range(0, len(items), size)]
-        return [moved(part, self.device) for part in parts]
+        return [self.collate(items[i : i + size]) for i in range(0, len(items), size)]
 
     @torch.no_grad()
     def _start_from_filters(self, channels: int, taps: int) -> None:

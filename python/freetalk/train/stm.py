@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from freetalk.data import Dataset
 from freetalk.stm import Stm, StmOptions
 from freetalk.train.checkpoint import export_model
 from freetalk.train.config import TrainingConfig
-from freetalk.train.losses import MILLIMETRES, motion_loss
+from freetalk.train.losses import MILLIMETRES, motion_loss, vertex_errors
 from freetalk.train.previews import Sample
 from freetalk.train.sequences import Epochs
 from freetalk.train.stm_cuts import FaceCuts
@@ -102,30 +103,37 @@ class StmTask:
                 totals[name] = totals.get(name, torch.zeros((), device=self.device)) + value
         return {name: value / len(batch["items"]) for name, value in totals.items()}
 
-    def validate(self) -> dict[str, float]:
-        """Mean vertex error relative to the zero motion's, on faces and meshings not trained on."""
-        rng = np.random.default_rng(_VALIDATION_SEED)
-        sums = np.zeros(4)
+    def validate(self, part: int, parts: int) -> list[tuple[int, Any]]:
+        """Windows on faces and meshings not trained on: errors, and the motion that they are errors of."""
         per_mesh = max(1, self.options.validation_windows // len(self._held_out_meshes))
         still = Placement(torch.eye(3, device=self.device), torch.zeros(3, device=self.device), 1.0)
-        for index, mesh in enumerate(self._held_out_meshes):
-            for _ in range(per_mesh):
-                window = self.held_out.draw_on(index, rng)
-                landmarks = torch.from_numpy(window.landmarks).to(self.device)
-                prediction = self._predict(mesh, landmarks, still)
-                target = torch.from_numpy(window.target).to(self.device)
-                error, motion = (prediction - target).norm(dim=-1), target.norm(dim=-1)
-                lips = mesh.lip_mask
-                sums += [
-                    float(error.mean()),
-                    float(motion.mean()),
-                    float(error[:, lips].mean()) if bool(lips.any()) else 0.0,
-                    float(motion[:, lips].mean()) if bool(lips.any()) else 0.0,
-                ]
-        relative, relative_lips = (float(sums[at] / max(sums[at + 1], 1e-12)) for at in (0, 2))
+        records: list[tuple[int, Any]] = []
+        for number in range(part, per_mesh * len(self._held_out_meshes), parts):
+            mesh = self._held_out_meshes[number // per_mesh]
+            rng = np.random.default_rng([_VALIDATION_SEED, number])
+            window = self.held_out.draw_on(number // per_mesh, rng)
+            landmarks = torch.from_numpy(window.landmarks).to(self.device)
+            prediction = self._predict(mesh, landmarks, still)
+            target = torch.from_numpy(window.target).to(self.device)
+            lips = mesh.lip_mask.nonzero()[:, 0]
+            sums = [(prediction - target).norm(dim=-1), target.norm(dim=-1)]
+            on_lips = [float(one[:, lips].mean()) if len(lips) else 0.0 for one in sums]
+            errors = vertex_errors(prediction, target, lips)
+            records.append((number, [*(float(one.mean()) for one in sums), *on_lips, *errors]))
+        return records
+
+    def scores(self, records: list[Any]) -> dict[str, float]:
+        """Mean vertex error relative to the zero motion's, of the face and of the lips; LVE and MVE."""
+        values = np.array(records)
+        error, motion, lip_error, lip_motion = values[:, :4].sum(axis=0)
+        relative = float(error / max(motion, 1e-12))
+        relative_lips = float(lip_error / max(lip_motion, 1e-12))
+        known = values[np.isfinite(values[:, 4]), 4]
         return {
             "relative_error": relative,
             "relative_lip_error": relative_lips,
+            "lve_mm2": float(known.mean()) if len(known) else math.nan,
+            "mve_mm": float(values[:, 5].mean()),
             "score": 0.5 * (relative + relative_lips),
         }
 

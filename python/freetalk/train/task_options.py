@@ -60,6 +60,8 @@ class AtsTaskOptions:
         closure_weight: weight of an extra term on lips that should be closed for a moment, as in
             p, b and m; 0 disables (the paper).
         validation_windows: windows of the validation split that are scored.
+        validation_samples: clips of it, of at most 300 frames, that are also sampled from noise, for LVE, MVE and the opening's
+            correlation of what a user gets (``loop.select=sampled_lve_mm2`` chooses by them); 0 for none.
     """
 
     init: str = ""
@@ -86,6 +88,7 @@ class AtsTaskOptions:
     opening_weight: float = 0.0
     closure_weight: float = 0.0
     validation_windows: int = 32
+    validation_samples: int = 4
 
     def check(self) -> None:
         """Raises ValueError where a value is out of range."""

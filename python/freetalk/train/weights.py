@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import Any
 
-import torch
 from torch import Tensor, nn
-from torch.optim.swa_utils import get_ema_multi_avg_fn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 #: Parts of the names of tables: learned positions, embeddings of labels, codes of landmarks.
 _TABLES = ("positions", "embedding", "index_code", "diffusion_time")
@@ -16,44 +14,19 @@ _TABLES = ("positions", "embedding", "index_code", "diffusion_time")
 _GAINS = ("weight.original0", "weight_g")
 
 
-class Average:
-    """Exponential moving average of weights; the decay rises from 0 so that early steps are forgotten.
+def moving_average(model: nn.Module, decay: float) -> AveragedModel:
+    """A copy that follows a model's weights; the decay rises from 0 so that early steps are forgotten.
 
     Args:
         model: whose weights.
-        decay: of the average; 0 keeps none.
+        decay: of the exponential moving average, reached after many steps.
     """
 
-    def __init__(self, model: nn.Module, decay: float) -> None:
-        self.decay = decay
-        self.weights: dict[str, Tensor] = {}
-        if decay > 0:
-            self.weights = {name: p.detach().clone() for name, p in model.named_parameters()}
+    def move(average: Sequence[Tensor], own: Sequence[Tensor], count: Tensor | int) -> None:
+        rising = (2 + int(count)) / (11 + int(count))
+        get_ema_multi_avg_fn(min(decay, rising))(list(average), list(own), count)
 
-    @torch.no_grad()
-    def update(self, model: nn.Module, step: int) -> None:
-        """Moves the average towards the weights after `step` steps."""
-        if self.weights:
-            move = get_ema_multi_avg_fn(min(self.decay, (1 + step) / (10 + step)))
-            own = dict(model.named_parameters())
-            move(list(self.weights.values()), [own[name].detach() for name in self.weights], step)
-
-    @contextmanager
-    @torch.no_grad()
-    def applied(self, model: nn.Module) -> Iterator[None]:
-        """Puts the average into the model for the duration."""
-        own = {name: p.detach().clone() for name, p in model.named_parameters()}
-        self._copy(model, self.weights)
-        try:
-            yield
-        finally:
-            self._copy(model, own)
-
-    @torch.no_grad()
-    def _copy(self, model: nn.Module, weights: dict[str, Tensor]) -> None:
-        for name, parameter in model.named_parameters():
-            if name in weights:
-                parameter.copy_(weights[name])
+    return AveragedModel(model, multi_avg_fn=move)
 
 
 def parameter_groups(model: nn.Module, weight_decay: float) -> list[dict[str, Any]]:
