@@ -50,10 +50,10 @@ def find_weights(name: str | os.PathLike[str]) -> Path:
             if 0 < len(lacking) < len(STAGES)
             else f"'{folder}' is no folder of weights: it has no talker.json"
         )
-    from freetalk import hub
+    from freetalk import _hub  # which knows of this module
 
-    if hub.is_repository(name):
-        return hub.download(os.fspath(name))
+    if _hub.is_repository(name):
+        return _hub.download(os.fspath(name))
     known = ", ".join(folder.name for folder in installed()) or "none"
     raise ValueError(
         f"no weights '{name}': neither a folder with talker.json nor OWNER/NAME on huggingface.co nor one of: {known}"

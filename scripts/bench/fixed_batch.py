@@ -36,7 +36,7 @@ def main() -> int:
     parser.add_argument("--batch", type=int, default=2)
     parser.add_argument("--threads", type=int, default=0, help="CPU threads; 0: torch's choice")
     parser.add_argument("overrides", nargs="*", metavar="section.key=value")
-    given = parser.parse_args()
+    given = parser.parse_intermixed_args()
     if given.threads:
         torch.set_num_threads(given.threads)
     config = load_config(given.kind, given.config or f"{given.kind}_paper", given.overrides)

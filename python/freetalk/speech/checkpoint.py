@@ -13,8 +13,8 @@ from typing import Any
 import torch
 
 from freetalk import _native
+from freetalk._hub import refusals
 from freetalk._native.core import default_cache_dir
-from freetalk.hub import refusals
 from freetalk.speech.encoder import SpeechEncoder
 
 PUBLISHED = {
