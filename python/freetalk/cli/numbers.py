@@ -58,3 +58,14 @@ def seed(text: str) -> int:
     if not text.isdecimal() or int(text) >= 2**63:
         raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 0 to 2^63 - 1")
     return int(text)
+
+
+def picture_size(text: str) -> tuple[int, int]:
+    """WIDTHxHEIGHT, or one number for a square; even numbers."""
+    parts = text.lower().split("x")
+    numbers = [int(part) if part.isdecimal() else 0 for part in parts]
+    if len(numbers) not in (1, 2) or any(n < 16 or n > 8192 or n % 2 for n in numbers):
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is no picture size: give WIDTHxHEIGHT in even pixels, such as 720x720"
+        )
+    return numbers[0], numbers[-1]

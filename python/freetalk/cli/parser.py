@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from freetalk.cli.motion_options import DEFAULT_WEIGHTS, add_decoding, add_device, add_diffusion
-from freetalk.cli.numbers import at_least_one, positive, seed
+from freetalk.cli.numbers import at_least_one, picture_size, positive, seed
 from freetalk.cli.score_options import add_evaluate, add_predict
 
 UNITS = ("auto", "m", "cm", "mm", "in")
@@ -93,17 +93,6 @@ class _Version(argparse.Action):
 
         print(f"freetalk {freetalk.__version__}")
         parser.exit()
-
-
-def picture_size(text: str) -> tuple[int, int]:
-    """WIDTHxHEIGHT, or one number for a square; even numbers."""
-    parts = text.lower().split("x")
-    numbers = [int(part) if part.isdecimal() else 0 for part in parts]
-    if len(numbers) not in (1, 2) or any(n < 16 or n > 8192 or n % 2 for n in numbers):
-        raise argparse.ArgumentTypeError(
-            f"'{text}' is no picture size: give WIDTHxHEIGHT in even pixels, such as 720x720"
-        )
-    return numbers[0], numbers[-1]
 
 
 def _command(commands: Any, name: str, handler: str, help_text: str, **settings: Any) -> Parser:
