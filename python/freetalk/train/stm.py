@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from freetalk._native.core import default_cache_dir
 from freetalk.data import Dataset
 from freetalk.stm import Stm, StmOptions
 from freetalk.train.checkpoint import export_model
@@ -204,6 +205,10 @@ class StmTask:
         self, split: str, count: int, max_vertices: int, cuts: FaceCuts | None = None
     ) -> list[PreparedMesh]:
         options = self.model.options
+        cache = Path(
+            self.options.operator_cache or Path(default_cache_dir()) / "training-operators"
+        )
+        cache.mkdir(parents=True, exist_ok=True)
         return prepare_meshes(
             self.corpus,
             split,
@@ -211,7 +216,7 @@ class StmTask:
             max_vertices,
             options.length_scale,
             options.k_eig,
-            self.options.operator_cache,
+            str(cache),
             self.device,
             cuts,
         )

@@ -18,6 +18,9 @@ from freetalk.geometry import SurfaceOperators, surface_operators
 from freetalk.train.progress import notice
 from freetalk.train.stm_cuts import FaceCuts
 
+#: Bytes of a cache folder that nothing empties: the faces of a large dataset must not drive each other out.
+_UNLIMITED = 1 << 62
+
 
 @dataclass
 class PreparedMesh:
@@ -98,7 +101,7 @@ def prepare_mesh(
 ) -> PreparedMesh:
     """A corpus face with its operators, from the disk cache where they are known.
 
-    With `cuts` it loses what they take from the `index`-th face.
+    A `cache_dir` of its own keeps all that is put there, the user's only what was used last. With `cuts` it loses what they take from the `index`-th face.
     """
     device = device or torch.device("cpu")
     mesh = corpus.mesh(identity, topology)
@@ -113,12 +116,13 @@ def prepare_mesh(
             lip_mask=mesh.lip_mask[kept],
             upper_face_mask=mesh.upper_face_mask[kept],
         )
+    own: dict[str, Any] = {"cache": cache_dir, "max_cache_bytes": _UNLIMITED} if cache_dir else {}
     operators: Any = surface_operators(
         mesh.vertices.astype(np.float64) / length_scale,
         mesh.faces,
         k=min(k_eig, len(mesh.vertices)),
-        cache=cache_dir or True,
         name=mesh.name,
+        **own,
     )
     return PreparedMesh(
         identity=identity,

@@ -117,7 +117,8 @@ class StmTaskOptions:
     Attributes:
         init: weights to start from: their folder, a training's output folder, or the name of
             installed ones (``open-small``); empty starts from random ones.
-        operator_cache: folder of the surface operators; empty takes the user's cache.
+        operator_cache: folder of the surface operators, which nothing empties; empty takes ``training-operators``
+            in the user's cache.
         frames: consecutive frames of a window.
         num_meshes: (identity, topology) pairs of the train split that are drawn, 0 for all.
         max_vertices: meshings with more vertices are left out of training, 0 for no limit; a dataset
