@@ -9,7 +9,7 @@ from freetalk.cli.numbers import natural
 
 def add_view(parser: argparse.ArgumentParser) -> None:
     """Options of ``view``."""
-    from freetalk.cli.parser import picture_size
+    from freetalk.cli.numbers import picture_size
 
     parser.description = (
         "Opens a page in the browser that plays animations with sound: turn them, compare several beside each "
