@@ -3,6 +3,7 @@
 #include <torch/torch.h>
 
 #include <algorithm>
+#include <numeric>
 #include <set>
 
 #include "freetalk/core/error.h"
@@ -21,9 +22,11 @@ void add_chain(Edges& edges, int64_t first, int64_t last, bool closed) {
   if (closed) add_edge(edges, last, first);
 }
 
-std::array<int64_t, 68> make_mirror() {
-  std::array<int64_t, 68> mirror{};
-  for (int64_t i = 0; i < 68; ++i) mirror[static_cast<size_t>(i)] = i;
+using Mirror = std::array<int64_t, core::kNumLandmarks>;
+
+Mirror make_mirror() {
+  Mirror mirror{};
+  std::iota(mirror.begin(), mirror.end(), 0);
   const auto swap = [&mirror](int64_t a, int64_t b) {
     mirror[static_cast<size_t>(a)] = b;
     mirror[static_cast<size_t>(b)] = a;
@@ -63,8 +66,8 @@ Edges make_edges() {
 
 }  // namespace
 
-const std::array<int64_t, 68>& landmark_mirror() {
-  static const std::array<int64_t, 68> mirror = make_mirror();
+const Mirror& landmark_mirror() {
+  static const Mirror mirror = make_mirror();
   return mirror;
 }
 
@@ -77,7 +80,7 @@ const std::vector<std::pair<int64_t, int64_t>>& landmark_edges() {
 }
 
 at::Tensor landmark_adjacency() {
-  at::Tensor adjacency = at::eye(68, at::kFloat);
+  at::Tensor adjacency = at::eye(core::kNumLandmarks, at::kFloat);
   for (const auto& [a, b] : landmark_edges()) {
     adjacency[a][b] = 1;
     adjacency[b][a] = 1;

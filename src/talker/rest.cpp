@@ -6,6 +6,8 @@
 #include <cmath>
 #include <numbers>
 
+#include "freetalk/core/conventions.h"
+
 namespace freetalk::talker {
 namespace {
 
@@ -25,7 +27,7 @@ bool is_silent(const audio::Audio& audio) {
 }
 
 at::Tensor rest_motion(const Eigen::MatrixXd& landmarks, int64_t num_frames, double fps) {
-  auto motion = at::zeros({num_frames, 68, 3}, at::kFloat);
+  auto motion = at::zeros({num_frames, core::kNumLandmarks, 3}, at::kFloat);
   auto at_frame = motion.accessor<float, 3>();
   for (int64_t t = 0; t < num_frames; ++t) {
     const double time = static_cast<double>(t) / fps;

@@ -19,13 +19,14 @@
 #include <string>
 #include <vector>
 
+#include "freetalk/core/conventions.h"
 #include "freetalk/diffusion/schedule.h"
 #include "freetalk/nn/transformer.h"
 
 namespace freetalk::ats {
 
-constexpr int64_t kNumLandmarks = 68;              // N
-constexpr int64_t kMotionDim = 3 * kNumLandmarks;  // D
+using core::kMotionDim;
+using core::kNumLandmarks;
 
 struct AtsOptions {
   int64_t d_model = 512;            // d [supp. 2]

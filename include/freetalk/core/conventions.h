@@ -9,7 +9,8 @@
 namespace freetalk::core {
 
 /// Landmarks of a face: those of iBUG / Multi-PIE, in their order.
-inline constexpr int64_t kNumLandmarks = 68;  // N
+inline constexpr int64_t kNumLandmarks = 68;              // N
+inline constexpr int64_t kMotionDim = 3 * kNumLandmarks;  // D
 
 struct Unit {
   const char* name;

@@ -9,6 +9,8 @@
 #include <utility>
 #include <vector>
 
+#include "freetalk/core/conventions.h"
+
 namespace freetalk::stm {
 
 /// Edges (i < j) of the landmark graph: the iBUG contours (jaw 0-16, brows 17-21 and 22-26, nose
@@ -19,7 +21,7 @@ namespace freetalk::stm {
 const std::vector<std::pair<int64_t, int64_t>>& landmark_edges();
 
 /// Index of each landmark's mirror image (left-right).
-const std::array<int64_t, 68>& landmark_mirror();
+const std::array<int64_t, core::kNumLandmarks>& landmark_mirror();
 
 /// D^-1/2 (A + I) D^-1/2 of the landmark graph [Kipf & Welling 2017]: (68, 68) float32.
 at::Tensor landmark_adjacency();

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from freetalk import _native
 from freetalk.cli.mesh import align
 from freetalk.cli.outputs import check_readable, check_writable
 
@@ -18,7 +19,7 @@ _GROUPS = (
     ("brows", 17, 27),
     ("nose", 27, 36),
     ("eyes", 36, 48),
-    ("lips", 48, 68),
+    ("lips", 48, _native.core.NUM_LANDMARKS),
 )
 #: Below this confidence a landmark should be looked at.
 _DOUBTFUL = 0.3

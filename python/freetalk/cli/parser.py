@@ -1,4 +1,4 @@
-"""The grammar of the command line. Imports nothing heavy, so that ``--help`` is quick."""
+"""The grammar of the command line. Imports nothing that the package does not, so that ``--help`` is quick."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
+from freetalk import _native
 from freetalk.cli.motion_options import DEFAULT_WEIGHTS, add_decoding, add_device, add_diffusion
 from freetalk.cli.numbers import at_least_one, picture_size, positive, seed
 from freetalk.cli.score_options import add_evaluate, add_predict
 
-UNITS = ("auto", "m", "cm", "mm", "in")
+UNITS = ("auto", *_native.core.UNITS)
 AXES = ("auto", "+x", "-x", "+y", "-y", "+z", "-z")
 _INTENSITY_HELP = (
     "from 1 (slight) to the weights' strongest, 3 of the shipped; by default the middle"

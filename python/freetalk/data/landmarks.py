@@ -5,9 +5,13 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from freetalk import _native
+
 FloatArray = npt.NDArray[np.float32]
 
-LIPS: tuple[int, ...] = tuple(range(48, 68))
+NUM_LANDMARKS: int = _native.core.NUM_LANDMARKS
+
+LIPS: tuple[int, ...] = tuple(range(48, NUM_LANDMARKS))
 BROWS: tuple[int, ...] = tuple(range(17, 27))
 EYES: tuple[int, ...] = tuple(range(36, 48))
 UPPER_FACE: tuple[int, ...] = (*BROWS, *EYES)

@@ -37,16 +37,15 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
-from freetalk import _native
 from freetalk._files import flush, write_text
 from freetalk.data.errors import DatasetError, MissingFileError, NotFiniteError
+from freetalk.data.landmarks import NUM_LANDMARKS
 
 FORMAT, VERSION = "freetalk-dataset", 1
 #: What may be replaced: this one, and that of corpora before it.
 _FORMATS = (FORMAT, "freetalk-open-corpus")
 SAMPLE_RATE_HZ = 16000
 FULL_SCALE = 32768.0
-NUM_LANDMARKS: int = _native.core.NUM_LANDMARKS
 #: Numbers that a rotation matrix minus the identity has.
 _TURN = 9
 #: Appended bytes after which the journal is brought up to date.

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from freetalk import _native
 from freetalk._files import replacing
 from freetalk.viz.renderer import FaceRenderer, Image, View
 from freetalk.viz.sequence import Sequence, as_sequence
@@ -23,6 +24,7 @@ _TEXT = (232, 234, 237)
 _WAVE = (132, 170, 214)
 _MARK = (240, 196, 120)
 _GAP = 4
+_LANDMARKS = _native.core.NUM_LANDMARKS
 
 # iBUG contours, as runs of landmark indices; closed ones end where they begin.
 _CONTOURS: tuple[tuple[int, ...], ...] = (
@@ -34,7 +36,7 @@ _CONTOURS: tuple[tuple[int, ...], ...] = (
     (*range(36, 42), 36),
     (*range(42, 48), 42),
     (*range(48, 60), 48),
-    (*range(60, 68), 60),
+    (*range(60, _LANDMARKS), 60),
 )
 
 
@@ -144,9 +146,9 @@ def landmark_plot(
     from matplotlib.figure import Figure
 
     points = np.asarray(landmarks, dtype=np.float64)
-    if points.ndim != 3 or points.shape[1:] != (68, 3) or len(points) == 0:
+    if points.ndim != 3 or points.shape[1:] != (_LANDMARKS, 3) or len(points) == 0:
         raise ValueError(
-            f"landmarks must be (T, 68, 3) with at least one frame, found {points.shape}"
+            f"landmarks must be (T, {_LANDMARKS}, 3) with at least one frame, found {points.shape}"
         )
     opening_mm = 1000 * np.linalg.norm(points[:, 62] - points[:, 66], axis=1)
     order = np.argsort(opening_mm)
