@@ -19,8 +19,8 @@
 #include <string>
 #include <vector>
 
+#include "core/file.h"
 #include "freetalk/audio/audio.h"
-#include "freetalk/core/file.h"
 
 /// libsndfile forgets the vorbis_info of some damaged OGG files (a few KiB each); not ours to free.
 extern "C" const char* __lsan_default_suppressions() { return "leak:libvorbis\n"; }

@@ -10,9 +10,9 @@
 #include <utility>
 #include <vector>
 
+#include "core/file.h"
 #include "freetalk/animation/morph.h"
 #include "freetalk/core/error.h"
-#include "freetalk/core/file.h"
 #include "freetalk/geometry/surface.h"
 #include "freetalk/mesh/normals.h"
 

@@ -4,9 +4,9 @@
 
 #include <algorithm>
 
+#include "core/file.h"
 #include "core/scratch.h"
 #include "freetalk/core/error.h"
-#include "freetalk/core/file.h"
 #include "npz.h"
 
 namespace freetalk::animation {

@@ -6,8 +6,8 @@
 #include <fstream>
 #include <system_error>
 
+#include "core/file.h"
 #include "freetalk/core/error.h"
-#include "freetalk/core/file.h"
 #include "freetalk/mesh/mesh.h"
 #include "mesh/mesh_file.h"
 

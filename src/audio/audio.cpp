@@ -11,8 +11,8 @@
 #include <string>
 #include <string_view>
 
+#include "core/file.h"
 #include "freetalk/core/error.h"
-#include "freetalk/core/file.h"
 #include "resampler.h"
 
 namespace freetalk::audio {

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <vector>
 
+#include "core/deferred.h"
 #include "freetalk/core/error.h"
 #include "freetalk/geometry/eigenbasis.h"
 #include "freetalk/geometry/surface.h"

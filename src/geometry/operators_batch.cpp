@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "core/deferred.h"
 #include "freetalk/core/error.h"
 #include "freetalk/geometry/operators.h"
 #include "freetalk/mesh/weld.h"

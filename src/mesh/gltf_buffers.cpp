@@ -6,8 +6,8 @@
 #include <limits>
 #include <system_error>
 
+#include "core/file.h"
 #include "freetalk/core/error.h"
-#include "freetalk/core/file.h"
 
 namespace freetalk::mesh {
 namespace {

@@ -6,8 +6,8 @@
 #include <limits>
 #include <utility>
 
+#include "core/file.h"
 #include "freetalk/core/error.h"
-#include "freetalk/core/file.h"
 #include "mesh/mesh_file.h"
 
 namespace freetalk::mesh {

@@ -2,8 +2,8 @@
 #include <cstring>
 #include <ostream>
 
+#include "core/file.h"
 #include "freetalk/core/error.h"
-#include "freetalk/core/file.h"
 #include "freetalk/mesh/mesh.h"
 #include "mesh/mesh_file.h"
 

@@ -3,8 +3,9 @@
 
 #include <nlohmann/json.hpp>
 
+#include "core/file.h"
+#include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
-#include "freetalk/core/file.h"
 #include "freetalk/core/module_io.h"
 #include "freetalk/core/safetensors.h"
 #include "freetalk/speech/pretrained.h"
@@ -31,7 +32,8 @@ Template load_template(const std::filesystem::path& path) {
   Template face{read("points"), read("normals"), read("landmarks68")};
   FREETALK_RUNTIME_CHECK(face.points.rows() == face.normals.rows(), path.string(),
                          ": 'points' and 'normals' differ in number");
-  FREETALK_RUNTIME_CHECK(face.landmarks68.rows() == 68, path.string(), ": expected 68 landmarks");
+  FREETALK_RUNTIME_CHECK(face.landmarks68.rows() == core::kNumLandmarks, path.string(),
+                         ": expected ", core::kNumLandmarks, " landmarks");
   return face;
 }
 

@@ -12,9 +12,13 @@
 #include <string>
 #include <vector>
 
-#include "freetalk/core/deferred.h"
 #include "freetalk/geometry/poisson.h"
 #include "freetalk/geometry/sparse_operator.h"
+
+namespace freetalk::core {
+template <class T>
+class Deferred;
+}
 
 namespace freetalk::geometry {
 

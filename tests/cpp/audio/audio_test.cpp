@@ -15,7 +15,7 @@
 #include <new>
 #include <numbers>
 
-#include "freetalk/core/file.h"
+#include "core/file.h"
 
 namespace {
 

@@ -9,10 +9,10 @@
 #include <set>
 
 #include "../decimal_comma.h"
+#include "core/file.h"
 #include "core/number.h"
 #include "core/scratch.h"
 #include "freetalk/core/error.h"
-#include "freetalk/core/file.h"
 #include "freetalk/core/log.h"
 #include "freetalk/core/module_io.h"
 #include "freetalk/core/options.h"

@@ -7,7 +7,7 @@
 #include <thread>
 
 #include "../mesh/shapes.h"
-#include "freetalk/core/file.h"
+#include "core/file.h"
 #include "freetalk/geometry/eigenbasis.h"
 #include "freetalk/geometry/surface.h"
 

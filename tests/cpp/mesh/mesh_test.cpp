@@ -5,7 +5,7 @@
 #include <cstring>
 
 #include "../decimal_comma.h"
-#include "freetalk/core/file.h"
+#include "core/file.h"
 #include "freetalk/mesh/normals.h"
 #include "shapes.h"
 

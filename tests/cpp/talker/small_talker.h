@@ -10,7 +10,7 @@
 #include <string>
 #include <vector>
 
-#include "freetalk/core/file.h"
+#include "core/file.h"
 #include "freetalk/core/module_io.h"
 #include "freetalk/core/safetensors.h"
 #include "freetalk/speech/pretrained.h"
