@@ -6,8 +6,8 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 
+#include "core/file.h"
 #include "freetalk/core/error.h"
-#include "freetalk/core/file.h"
 
 namespace freetalk::core {
 namespace {
@@ -63,13 +63,17 @@ void load_state(torch::nn::Module& module, const TensorMap& state, const std::st
   }
 }
 
+std::string read_model_config(const std::filesystem::path& directory) {
+  const auto path = directory / "config.json";
+  const auto config = Json::parse(read_text(path), nullptr, false);
+  FREETALK_RUNTIME_CHECK(config.is_object(), path.string(),
+                         ": is not a JSON object; copy the file again");
+  return config_of_weights(directory / "model.safetensors", config).value_or(config).dump();
+}
+
 std::string read_model_options(const std::filesystem::path& directory, const std::string& format) {
   const auto path = directory / "config.json";
-  auto config = Json::parse(read_text(path), nullptr, false);
-  FREETALK_RUNTIME_CHECK(config.is_object(), path.string(), ": is not a JSON object");
-  if (auto newer = config_of_weights(directory / "model.safetensors", config)) {
-    config = std::move(*newer);
-  }
+  const auto config = Json::parse(read_model_config(directory));
   const auto text = [&](const char* key) {
     return config.contains(key) && config[key].is_string() ? config[key].get<std::string>()
                                                            : "none";

@@ -5,8 +5,8 @@
 #include <nlohmann/json.hpp>
 #include <set>
 
+#include "core/file.h"
 #include "freetalk/core/error.h"
-#include "freetalk/core/file.h"
 #include "freetalk/core/module_io.h"
 #include "freetalk/core/options.h"
 #include "freetalk/core/safetensors.h"
@@ -134,9 +134,11 @@ SpeechEncoder load_speech_encoder(const std::filesystem::path& dir) {
                          ": is not a folder; a speech encoder is a folder with config.json and "
                          "model.safetensors");
   const auto config_path = dir / "config.json";
-  SpeechEncoder encoder(options_from_config(core::read_text(config_path), config_path.string()));
-  core::load_state(*encoder, encoder_state(read_weights(dir)),
-                   (dir / "model.safetensors").string());
+  SpeechEncoder encoder(options_from_config(core::read_model_config(dir), config_path.string()));
+  core::with_plain_errors("load_speech_encoder", [&] {
+    core::load_state(*encoder, encoder_state(read_weights(dir)),
+                     (dir / "model.safetensors").string());
+  });
   encoder->eval();
   return encoder;
 }
@@ -160,8 +162,7 @@ void save_speech_encoder(const SpeechEncoder& encoder, const std::filesystem::pa
   for (const auto& [name, tensor] : core::state_of(*encoder)) {
     state[name] = tensor.detach().to(half ? at::kHalf : at::kFloat);
   }
-  core::save_safetensors(dir / "model.safetensors", state, {{"format", "pt"}});
-  core::write_file_atomic(dir / "config.json", config.dump(2) + "\n");
+  core::save_model_files(dir, config.dump(), state);
 }
 
 }  // namespace freetalk::speech

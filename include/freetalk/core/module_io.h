@@ -19,6 +19,11 @@ TensorMap state_of(const torch::nn::Module& module);
 /// @throws std::runtime_error naming `where` and every missing, unexpected or misshaped tensor.
 void load_state(torch::nn::Module& module, const TensorMap& state, const std::string& where);
 
+/// The text of DIR/config.json, a JSON object; that of the copy in DIR/model.safetensors where a
+/// stop between the two files left the weights of a newer model. @throws std::runtime_error naming
+/// the file when it is missing or broken.
+std::string read_model_config(const std::filesystem::path& directory);
+
 /// The text of the "options" object in DIR/config.json. @throws std::runtime_error naming the file
 /// when it is missing, broken, of another `format` or of a newer version.
 std::string read_model_options(const std::filesystem::path& directory, const std::string& format);

@@ -24,7 +24,8 @@ SpeechEncoderOptions options_from_config(const std::string& json, const std::str
 /// @throws std::runtime_error naming the file and every missing, unexpected or misshaped tensor
 SpeechEncoder load_speech_encoder(const std::filesystem::path& dir);
 
-/// Writes a folder that load_speech_encoder and `transformers` read.
+/// Writes a folder that load_speech_encoder and `transformers` read. The weights carry a copy of
+/// config.json: a stop between the two files leaves a folder that reads as the new encoder.
 /// @param half store float16 (half the size, relative error below 5e-4 per weight)
 /// @param extra_json a JSON object whose entries go into config.json too, such as how the weights
 /// were trained

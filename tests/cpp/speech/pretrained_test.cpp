@@ -7,7 +7,7 @@
 
 #include <functional>
 
-#include "freetalk/core/file.h"
+#include "core/file.h"
 #include "freetalk/core/safetensors.h"
 
 namespace freetalk::speech {
@@ -127,8 +127,22 @@ TEST_F(Pretrained, NamesMissingAndMisshapedTensors) {
   save_speech_encoder(other, dir_ / "other");
   std::filesystem::copy_file(dir_ / "other" / "model.safetensors", weights(),
                              std::filesystem::copy_options::overwrite_existing);
+  rename([](const std::string& name) {
+    return name;
+  });  // as written by others: no copy of the options
   EXPECT_NE(load_error().find("encoder.layers.0.feed_forward.intermediate_dense.weight"),
             std::string::npos);
+}
+
+TEST_F(Pretrained, AStopBetweenItsFilesLeavesTheNewEncoder) {
+  const std::string before = core::read_text(dir_ / "config.json");
+  auto options = pretrained_options();
+  options.intermediate_size = 48;
+  encoder_ = SpeechEncoder(options);
+  encoder_->eval();
+  save_speech_encoder(encoder_, dir_);
+  core::write_file_atomic(dir_ / "config.json", before);
+  EXPECT_TRUE(loaded_output().equal(output()));
 }
 
 TEST_F(Pretrained, NamesWhatIsWrongWithTheFolder) {
