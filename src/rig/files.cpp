@@ -5,6 +5,7 @@
 
 #include "freetalk/core/cache_dir.h"
 #include "freetalk/core/error.h"
+#include "freetalk/core/log.h"
 #include "freetalk/core/options.h"
 #include "freetalk/core/safetensors.h"
 #include "freetalk/rig/face_rig.h"
@@ -134,15 +135,19 @@ FaceRig FaceRig::cached(const std::string& content, const std::filesystem::path&
       FaceRig rig = load(file);
       fs::last_write_time(file, fs::file_time_type::clock::now(), error);  // Used last now.
       return rig;
-    } catch (const std::runtime_error&) {
-      // Damaged: made again and overwritten.
+    } catch (const std::exception& fault) {
+      core::log(
+          core::LogLevel::kWarning,
+          core::join(file.string(), ": made again, for the entry is damaged: ", fault.what()));
     }
   }
   FaceRig rig = build(decode, poses, options, progress);
   try {
     rig.save(file);
-  } catch (const std::runtime_error&) {
+  } catch (const std::runtime_error& fault) {
     // A folder that cannot be written to costs the time next time, not the result.
+    core::log(core::LogLevel::kWarning,
+              core::join("the rig of a face is not kept: ", fault.what()));
   }
   return rig;
 }

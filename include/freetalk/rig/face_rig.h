@@ -81,7 +81,8 @@ class FaceRig {
                        const std::function<void(double)>& progress = {});
 
   /// The rig that an earlier call left in `cache_dir` (empty: core::default_cache_dir()), or a new
-  /// one, left there for the next. A folder that cannot be written is passed over.
+  /// one, left there for the next. A folder that cannot be written, or a damaged file in it, costs
+  /// the time and is logged.
   /// @param content says what `decode` computes: a hash of weights and mesh, say.
   static FaceRig cached(const std::string& content, const std::filesystem::path& cache_dir,
                         const Decode& decode, const RigPoses& poses, const RigOptions& options = {},
