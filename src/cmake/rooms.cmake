@@ -5,6 +5,7 @@
 #               compiling a file that knows little of torch, so the others do without it.
 #   LINKS       libraries it is linked with
 #   HEADERS_OF  header-only libraries seen by its own units alone; nothing a consumer has to have
+include(CheckCXXSourceCompiles)
 option(FREETALK_UNITY "Compile in few large units: much faster from nothing, slower after a change" OFF)
 
 add_library(freetalk_pch OBJECT "${CMAKE_CURRENT_SOURCE_DIR}/src/cmake/pch.cpp")
@@ -93,8 +94,25 @@ freetalk_add_room(animation USES audio mesh geometry core TORCH ALL HEADERS_OF $
 freetalk_add_room(talker USES animation rig stm ats speech diffusion nn geometry mesh audio core
                   TORCH ALL HEADERS_OF ${json})
 
-# core/parallel.cpp is the one unit with OpenMP; its runtime is the very one that torch uses.
-set_source_files_properties("${CMAKE_CURRENT_SOURCE_DIR}/src/core/parallel.cpp" PROPERTIES
-  COMPILE_OPTIONS -fopenmp)
+# core/parallel.cpp is the one unit with OpenMP; its runtime is the very one that torch uses. Where the
+# compiler has none, or calls another runtime than that, loops run on one thread.
+set(CMAKE_REQUIRED_DEFINITIONS -fopenmp)
+set(CMAKE_REQUIRED_LIBRARIES freetalk::torch)
+check_cxx_source_compiles("
+#include <omp.h>
+int main() {
+  int threads = 0;
+#pragma omp parallel reduction(+ : threads)
+  threads += 1;
+  return threads > omp_get_max_threads();
+}" FREETALK_OPENMP)
+unset(CMAKE_REQUIRED_DEFINITIONS)
+unset(CMAKE_REQUIRED_LIBRARIES)
+if(FREETALK_OPENMP)
+  set_source_files_properties("${CMAKE_CURRENT_SOURCE_DIR}/src/core/parallel.cpp" PROPERTIES
+    COMPILE_OPTIONS -fopenmp)
+else()
+  message(WARNING "the compiler cannot use torch's OpenMP: parallel loops run on one thread")
+endif()
 # Units of one instruction set each are compiled alone.
 set_target_properties(freetalk_kernels PROPERTIES UNITY_BUILD OFF)

@@ -16,7 +16,11 @@ std::atomic<bool> forked{false};
 // the library is loaded: torch may start threads before the first loop of ours.
 [[maybe_unused]] const int registered = pthread_atfork(nullptr, nullptr, [] { forked = true; });
 
+#ifdef _OPENMP
 bool serial() { return forked || at::in_parallel_region(); }
+#else
+bool serial() { return true; }  // at::parallel_for knows OpenMP alone.
+#endif
 
 }  // namespace
 

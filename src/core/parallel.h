@@ -9,8 +9,8 @@ namespace freetalk::core {
 /// Calls body(first, last) on pieces of [begin, end) of at least `grain` (but for the last), on as
 /// many threads as torch may use (at::set_num_threads). Grad mode, autocast and the rest of torch's
 /// thread-local state are the caller's in every piece; the first exception reaches the caller.
-/// One piece, on the caller's thread: inside another parallel loop, and in a fork of a process,
-/// whose threads are gone.
+/// One piece, on the caller's thread: inside another parallel loop, in a fork of a process, whose
+/// threads are gone, and where the compiler has no OpenMP.
 void parallel_for(int64_t begin, int64_t end, int64_t grain,
                   const std::function<void(int64_t, int64_t)>& body);
 
