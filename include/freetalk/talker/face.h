@@ -54,7 +54,7 @@ class Face {
   explicit Face(std::shared_ptr<const State> state);
 
   /// T = max(1, round(duration * fps)) frames. The same options, inputs and machine give the same
-  /// bits. Memory beside the (T, V, 3) result doesn't grow with T. Silence gives a resting face and
+  /// bits on the CPU, on a GPU the same motion up to rounding. Memory beside the (T, V, 3) result doesn't grow with T. Silence gives a resting face and
   /// a notice.
   /// @param report filled if given.
   /// @param out (T, V, 3) contiguous float32 on the CPU, to be filled and to be the animation's
@@ -68,7 +68,8 @@ class Face {
   /// Several performances of one speech: the motion of all seeds is sampled together.
   /// @param seeds take the place of options.seed.
   /// @param out (seeds, T, V, 3) as above, or undefined.
-  /// @returns one animation a seed, equal to that of animate() up to rounding.
+  /// @returns one animation a seed: the motion is that of animate() up to rounding, and every frame
+  /// within options.tolerance_mm of decoding it.
   std::vector<animation::Animation> animate_many(const audio::Audio& audio,
                                                  const std::vector<int64_t>& seeds,
                                                  const AnimateOptions& options = {},

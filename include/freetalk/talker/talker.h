@@ -23,7 +23,7 @@ namespace freetalk::talker {
 struct TalkerModels;
 
 /// The weights. Immutable: a copy is cheap and shares them, and all methods may be called from many
-/// threads at once, with the bits that one thread would get.
+/// threads at once, on the CPU with the bits that one thread would get (on a GPU up to rounding).
 class Talker {
  public:
   /// Reads talker.json, speech/, ats/, stm/ and template.safetensors.
@@ -33,6 +33,8 @@ class Talker {
                                 std::optional<c10::Device> device = std::nullopt);
   /// @param models see talker/models.h; moved to `device`, put into evaluation mode, and not to be
   /// changed afterwards.
+  /// @throws std::invalid_argument where one is missing; std::runtime_error for a device that is not
+  /// there.
   explicit Talker(TalkerModels models, c10::Device device = c10::kCPU);
 
   /// Everything that depends on the mesh alone: for several clips, seeds or live speech on one
@@ -52,6 +54,10 @@ class Talker {
                                                  const TalkerOptions& options = {},
                                                  const Progress& progress = {},
                                                  Report* report = nullptr) const;
+
+  /// Face::live(), on a face that this talker (or a copy of it) prepared; include talker/live.h.
+  /// @throws std::invalid_argument for a face of other weights; what Live throws.
+  Live live(const Face& face, const LiveOptions& options) const;
 
   /// How the mesh lies relative to the canonical frame.
   geometry::Alignment align(const mesh::Mesh& mesh,

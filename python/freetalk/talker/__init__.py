@@ -201,7 +201,8 @@ class Talker:
             options: as for :meth:`animate`.
 
         Returns:
-            One animation a seed, equal to that of :meth:`animate` with the seed up to rounding.
+            One animation a seed: the motion is that of :meth:`animate` with the seed up to rounding, and every frame
+            within ``tolerance_mm`` of decoding it.
 
         Raises:
             ValueError: as :meth:`animate`, or no seeds.
@@ -215,6 +216,15 @@ class Talker:
                 sound, surface, seeds=list(seeds), options=wanted, progress=bar.update
             )
         return [Animation._wrap(native) for native in natives]
+
+    def live(self, face: Face, *, emotion: Emotion = "neutral", **options: Any) -> Live:
+        """:meth:`Face.live`, on a face that this talker prepared.
+
+        Raises:
+            ValueError: as :meth:`Face.live`, or a face of other weights.
+        """
+        wanted = LiveOptions(emotion=emotion_text(emotion), **options)
+        return Live(self._native.live(face._native, wanted))
 
 
 class Face:
@@ -313,7 +323,8 @@ class Face:
             options: as for :meth:`animate`.
 
         Returns:
-            One animation a seed, equal to that of :meth:`animate` up to rounding.
+            One animation a seed: the motion is that of :meth:`animate` up to rounding, and every frame within
+            ``tolerance_mm`` of decoding it.
 
         Raises:
             ValueError: as :meth:`animate`, or no seeds.

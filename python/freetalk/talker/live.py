@@ -19,7 +19,7 @@ LiveFrame = _native.talker.LiveFrame
 class Live:
     """One stream on one face, made by :meth:`Face.live`. Not to be shared between threads; the face may be.
 
-    Frames are the same to the bit however the samples are divided over the calls.
+    Frames are the same however the samples are divided over the calls: to the bit on the CPU, up to rounding on a GPU.
     """
 
     def __init__(self, native: Any) -> None:
