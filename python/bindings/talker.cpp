@@ -7,6 +7,7 @@
 
 #include "bind_options.h"
 #include "freetalk/core/error.h"
+#include "freetalk/core/torch_error.h"
 #include "freetalk/rig/face_rig.h"
 #include "freetalk/talker/live.h"
 
@@ -21,7 +22,9 @@ using freetalk::mesh::Mesh;
 talker::Talker load(const std::filesystem::path& directory,
                     const std::optional<std::string>& device) {
   if (!device) return talker::Talker::from_pretrained(directory);
-  return talker::Talker::from_pretrained(directory, c10::Device(*device));
+  const auto parsed =
+      freetalk::core::with_plain_errors("device", [&] { return c10::Device(*device); });
+  return talker::Talker::from_pretrained(directory, parsed);
 }
 
 /// What a call with a report as its last arguments returns, and the report.
@@ -168,6 +171,8 @@ void bind_talker(py::module_& m) {
           py::arg("audio"), py::arg("mesh"), py::kw_only(), py::arg("seeds"),
           py::arg("options") = talker::TalkerOptions{}, py::arg("progress") = talker::Progress{},
           NoGil())
+      .def("live", &Talker::live, py::arg("face"), py::arg("options") = talker::LiveOptions{},
+           NoGil())
       .def("align", &Talker::align, py::arg("mesh"),
            py::arg("options") = freetalk::geometry::AlignOptions{}, NoGil())
       .def_property_readonly("emotions", &Talker::emotions)

@@ -6,9 +6,10 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/file.h"
 #include "core/scratch.h"
 #include "freetalk/core/error.h"
-#include "freetalk/core/file.h"
+#include "freetalk/core/torch_error.h"
 #include "gltf.h"
 #include "npz_animation.h"
 #include "sequence.h"
@@ -62,23 +63,25 @@ void Animation::check() const {
 }
 
 SaveReport Animation::save(const std::filesystem::path& path, const SaveOptions& options) const {
-  options.check();
-  check();
-  std::string format = options.format.empty() ? core::lower_extension(path) : options.format;
-  if (format == "obj" || format == "ply") {
-    FREETALK_CHECK(is_pattern(path) || core::lower_extension(path) != format, path.string(),
-                   ": a sequence has one file a frame; give a folder, ",
-                   (path.parent_path() / path.stem() / "*").string(), ".", format);
-    return save_sequence(is_pattern(path) ? path.parent_path() : path, format, *this);
-  }
-  FREETALK_CHECK(format == "npz" || format == "glb" || format == "gltf", path.string(),
-                 ": can't tell the format from '", path.extension().string(), "'; known are ",
-                 kKnown);
-  FREETALK_CHECK(core::lower_extension(path) == format, path.string(), ": format ", format,
-                 " needs a path ending in .", format);
-  if (format != "npz") return save_gltf(path, *this, options);
-  save_npz(path, *this);
-  return SaveReport{"npz"};
+  return core::with_plain_errors("save", [&] {
+    options.check();
+    check();
+    std::string format = options.format.empty() ? core::lower_extension(path) : options.format;
+    if (format == "obj" || format == "ply") {
+      FREETALK_CHECK(is_pattern(path) || core::lower_extension(path) != format, path.string(),
+                     ": a sequence has one file a frame; give a folder, ",
+                     (path.parent_path() / path.stem() / "*").string(), ".", format);
+      return save_sequence(is_pattern(path) ? path.parent_path() : path, format, *this);
+    }
+    FREETALK_CHECK(format == "npz" || format == "glb" || format == "gltf", path.string(),
+                   ": can't tell the format from '", path.extension().string(), "'; known are ",
+                   kKnown);
+    FREETALK_CHECK(core::lower_extension(path) == format, path.string(), ": format ", format,
+                   " needs a path ending in .", format);
+    if (format != "npz") return save_gltf(path, *this, options);
+    save_npz(path, *this);
+    return SaveReport{"npz"};
+  });
 }
 
 }  // namespace freetalk::animation

@@ -3,6 +3,7 @@
 #include <torch/utils.h>
 
 #include "freetalk/core/error.h"
+#include "freetalk/core/torch_error.h"
 #include "freetalk/nn/embedding.h"
 #include "nn/local_start.h"
 
@@ -158,24 +159,26 @@ at::Tensor AtsImpl::positions_of(const at::Tensor& table, const Condition& condi
 
 at::Tensor AtsImpl::forward(const at::Tensor& x, const at::Tensor& timestep,
                             const Condition& condition) {
-  check_inputs(x, timestep, condition);
-  const int64_t frames = x.size(1);
-  at::Tensor cross_allowed =
-      nn::band_mask(frames, options_.band_radius < 0 ? frames : options_.band_radius, x.device());
-  at::Tensor self_allowed;
-  if (condition.valid.defined()) {
-    // A padded frame attends to itself only: its row must not be empty, and nobody reads it.
-    const at::Tensor itself = nn::band_mask(frames, 0, x.device());
-    const at::Tensor key_valid = condition.valid.view({-1, 1, 1, frames});
-    self_allowed = key_valid.logical_or(itself);
-    cross_allowed = key_valid.logical_and(cross_allowed).logical_or(itself);
-  }
-  const at::Tensor memory = audio_memory(condition);
-  at::Tensor z = input_proj_(x) + positions_of(target_positions_, condition) +
-                 time_code(timestep).unsqueeze(1) + affect_code(condition);
-  for (nn::TransformerDecoderLayer& layer : layers_)
-    z = layer(z, memory, self_allowed, cross_allowed);
-  return output_proj_(options_.norm_first ? norm_(z) : z);
+  return core::with_plain_errors("ATS", [&] {
+    check_inputs(x, timestep, condition);
+    const int64_t frames = x.size(1);
+    at::Tensor cross_allowed =
+        nn::band_mask(frames, options_.band_radius < 0 ? frames : options_.band_radius, x.device());
+    at::Tensor self_allowed;
+    if (condition.valid.defined()) {
+      // A padded frame attends to itself only: its row must not be empty, and nobody reads it.
+      const at::Tensor itself = nn::band_mask(frames, 0, x.device());
+      const at::Tensor key_valid = condition.valid.view({-1, 1, 1, frames});
+      self_allowed = key_valid.logical_or(itself);
+      cross_allowed = key_valid.logical_and(cross_allowed).logical_or(itself);
+    }
+    const at::Tensor memory = audio_memory(condition);
+    at::Tensor z = input_proj_(x) + positions_of(target_positions_, condition) +
+                   time_code(timestep).unsqueeze(1) + affect_code(condition);
+    for (nn::TransformerDecoderLayer& layer : layers_)
+      z = layer(z, memory, self_allowed, cross_allowed);
+    return output_proj_(options_.norm_first ? norm_(z) : z);
+  });
 }
 
 at::Tensor AtsImpl::normalize(const at::Tensor& motion) const {

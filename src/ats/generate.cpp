@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "freetalk/core/error.h"
+#include "freetalk/core/torch_error.h"
 #include "window_group.h"
 
 namespace freetalk::ats {
@@ -74,56 +75,63 @@ std::vector<int64_t> window_starts(int64_t num_frames, int64_t window, int64_t o
 at::Tensor generate(Ats& model, const at::Tensor& features, const Affect& affect,
                     const GenerateOptions& options, std::vector<at::Generator> generators,
                     const diffusion::StepCallback& on_step) {
-  const torch::NoGradGuard no_grad;
-  options.check();
-  const AtsOptions& own = model->options();
-  check_inputs(own, features, affect, generators);
-  const diffusion::Schedule schedule(own.schedule_options());
-  const auto sampling = options.sampler_options();
-  const WindowPlan plan = plan_windows(features.size(0), own.window_frames(), options);
-  const auto dtype = options.precision == "bfloat16" ? at::kBFloat16 : features.scalar_type();
-  AtsInference network(*model, diffusion::sampler_timesteps(schedule, sampling), dtype,
-                       plan.window * std::min<int64_t>(static_cast<int64_t>(plan.groups[0].size()),
-                                                       options.windows_per_batch));
-  const Affect felt{affect.emotion.to(features.options()), affect.intensity.to(features.options()),
-                    affect.weight.defined() ? affect.weight.to(features.options()) : at::Tensor()};
-  std::vector<at::Tensor> start;
-  for (const at::Generator& generator : generators) {
-    start.push_back(at::randn({features.size(0), kMotionDim}, generator, features.options()));
-  }
-  const at::Tensor amount = noise_amount(options, features);
-  const at::Tensor noise = at::stack(start) * amount;
-  at::Tensor result = at::empty_like(noise);
-  Shared shared;
-  const auto count = static_cast<int64_t>(plan.groups.size());
-  for (int64_t i = 0; i < count; ++i) {
-    const auto index = static_cast<size_t>(i);
-    const int64_t first = plan.first_frame(index), frames = plan.num_frames(index);
-    std::vector<int64_t> starts = plan.groups[index];
-    for (int64_t& window : starts) window -= first;
-    WindowGroup group(network, plan, starts, features.narrow(0, first, frames),
-                      of_frames(felt, first, frames), options, std::move(shared),
-                      plan.shared_frames(index));
-    const at::Tensor x0 = diffusion::sample(
-        schedule, [&](const at::Tensor& x, int64_t timestep) { return group.denoise(x, timestep); },
-        noise.narrow(1, first, frames), sampling,
-        [&](const at::Tensor& like) { return group.draw(like, generators) * amount; },
-        [&](int64_t done, int64_t total) {
-          if (on_step) on_step(i * total + done, count * total);
-        });
-    result.narrow(1, first, frames).copy_(x0);
-    shared = group.leave();
-  }
-  return model->denormalize(result).to(at::kFloat).unflatten(2, {kNumLandmarks, 3});
+  return core::with_plain_errors("generate", [&] {
+    const torch::NoGradGuard no_grad;
+    options.check();
+    const AtsOptions& own = model->options();
+    check_inputs(own, features, affect, generators);
+    const diffusion::Schedule schedule(own.schedule_options());
+    const auto sampling = options.sampler_options();
+    const WindowPlan plan = plan_windows(features.size(0), own.window_frames(), options);
+    const auto dtype = options.precision == "bfloat16" ? at::kBFloat16 : features.scalar_type();
+    AtsInference network(
+        *model, diffusion::sampler_timesteps(schedule, sampling), dtype,
+        plan.window * std::min<int64_t>(static_cast<int64_t>(plan.groups[0].size()),
+                                        options.windows_per_batch));
+    const Affect felt{
+        affect.emotion.to(features.options()), affect.intensity.to(features.options()),
+        affect.weight.defined() ? affect.weight.to(features.options()) : at::Tensor()};
+    std::vector<at::Tensor> start;
+    for (const at::Generator& generator : generators) {
+      start.push_back(at::randn({features.size(0), kMotionDim}, generator, features.options()));
+    }
+    const at::Tensor amount = noise_amount(options, features);
+    const at::Tensor noise = at::stack(start) * amount;
+    at::Tensor result = at::empty_like(noise);
+    Shared shared;
+    const auto count = static_cast<int64_t>(plan.groups.size());
+    for (int64_t i = 0; i < count; ++i) {
+      const auto index = static_cast<size_t>(i);
+      const int64_t first = plan.first_frame(index), frames = plan.num_frames(index);
+      std::vector<int64_t> starts = plan.groups[index];
+      for (int64_t& window : starts) window -= first;
+      WindowGroup group(network, plan, starts, features.narrow(0, first, frames),
+                        of_frames(felt, first, frames), options, std::move(shared),
+                        plan.shared_frames(index));
+      const at::Tensor x0 = diffusion::sample(
+          schedule,
+          [&](const at::Tensor& x, int64_t timestep) { return group.denoise(x, timestep); },
+          noise.narrow(1, first, frames), sampling,
+          [&](const at::Tensor& like) { return group.draw(like, generators) * amount; },
+          [&](int64_t done, int64_t total) {
+            if (on_step) on_step(i * total + done, count * total);
+          });
+      result.narrow(1, first, frames).copy_(x0);
+      shared = group.leave();
+    }
+    return model->denormalize(result).to(at::kFloat).unflatten(2, {kNumLandmarks, 3});
+  });
 }
 
 at::Tensor generate(Ats& model, const at::Tensor& features, const at::Tensor& emotion,
                     double intensity, const GenerateOptions& options, at::Generator generator,
                     const diffusion::StepCallback& on_step) {
-  FREETALK_CHECK(emotion.dim() == 1, "generate: expected emotion (E,), found ", emotion.sizes());
-  return generate(model, features, constant_affect(emotion, intensity), options, {generator},
-                  on_step)
-      .squeeze(0);
+  return core::with_plain_errors("generate", [&] {
+    FREETALK_CHECK(emotion.dim() == 1, "generate: expected emotion (E,), found ", emotion.sizes());
+    return generate(model, features, constant_affect(emotion, intensity), options, {generator},
+                    on_step)
+        .squeeze(0);
+  });
 }
 
 }  // namespace freetalk::ats

@@ -7,6 +7,7 @@
 
 #include "freetalk/core/error.h"
 #include "freetalk/core/random.h"
+#include "freetalk/core/torch_error.h"
 #include "freetalk/diffusion/sampler.h"
 #include "window_group.h"
 
@@ -161,36 +162,43 @@ struct MotionStream::State {
 
 MotionStream::MotionStream(Ats model, std::vector<EmotionKey> emotions, uint64_t seed,
                            const MotionStreamOptions& options) {
-  options.check();
-  FREETALK_CHECK(!emotions.empty(), "expected at least one emotion");
-  state_ = std::make_unique<State>(std::move(model), std::move(emotions), seed, options);
+  core::with_plain_errors("MotionStream", [&] {
+    options.check();
+    FREETALK_CHECK(!emotions.empty(), "expected at least one emotion");
+    state_ = std::make_unique<State>(std::move(model), std::move(emotions), seed, options);
+  });
 }
 
 MotionStream::~MotionStream() = default;
 MotionStream::MotionStream(MotionStream&&) noexcept = default;
 
 at::Tensor MotionStream::push(const at::Tensor& features) {
-  return state_->advance(features, /*last=*/false);
+  return core::with_plain_errors("MotionStream",
+                                 [&] { return state_->advance(features, /*last=*/false); });
 }
 
 at::Tensor MotionStream::finish(const at::Tensor& features) {
-  const at::Tensor rest = state_->advance(features, /*last=*/true);
-  state_->reset();
-  return rest;
+  return core::with_plain_errors("MotionStream", [&] {
+    const at::Tensor rest = state_->advance(features, /*last=*/true);
+    state_->reset();
+    return rest;
+  });
 }
 
 void MotionStream::reset() { state_->reset(); }
 
 void MotionStream::set_emotion(const std::vector<EmotionKey>& next, double time_s) {
-  FREETALK_CHECK(!next.empty(), "expected at least one emotion");
-  auto& keys = state_->keys;
-  const EmotionKey now = at_time(keys, time_s);
-  while (!keys.empty() && keys.back().time_s >= time_s) keys.pop_back();
-  keys.push_back(now);
-  for (const EmotionKey& key : next) {
-    keys.push_back(
-        {time_s + state_->options.emotion_ramp_s + key.time_s, key.emotion, key.intensity});
-  }
+  core::with_plain_errors("MotionStream", [&] {
+    FREETALK_CHECK(!next.empty(), "expected at least one emotion");
+    auto& keys = state_->keys;
+    const EmotionKey now = at_time(keys, time_s);
+    while (!keys.empty() && keys.back().time_s >= time_s) keys.pop_back();
+    keys.push_back(now);
+    for (const EmotionKey& key : next) {
+      keys.push_back(
+          {time_s + state_->options.emotion_ramp_s + key.time_s, key.emotion, key.intensity});
+    }
+  });
 }
 
 int64_t MotionStream::num_held() const {

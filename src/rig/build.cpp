@@ -5,7 +5,9 @@
 #include <algorithm>
 #include <cmath>
 
+#include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
+#include "freetalk/core/torch_error.h"
 #include "freetalk/rig/face_rig.h"
 #include "matrices.h"
 #include "shape_solver.h"
@@ -20,8 +22,9 @@ constexpr double kSamePose = 0.1;  // mm over all landmarks
 /// Rest, shapes and library, without poses that are there already.
 at::Tensor candidates(const RigPoses& poses, int64_t limit) {
   const int64_t count = std::min(limit, poses.library.size(0));
-  const at::Tensor all = at::cat({at::zeros({1, 68, 3}), poses.shapes.to(at::kCPU, at::kFloat),
-                                  poses.library.narrow(0, 0, count).to(at::kCPU, at::kFloat)});
+  const at::Tensor all =
+      at::cat({at::zeros({1, core::kNumLandmarks, 3}), poses.shapes.to(at::kCPU, at::kFloat),
+               poses.library.narrow(0, 0, count).to(at::kCPU, at::kFloat)});
   const Rows rows = landmark_rows(all);
   std::vector<int64_t> kept;
   for (int64_t i = 0; i < rows.rows(); ++i) {
@@ -93,50 +96,52 @@ std::string numbered(int64_t index, const char* sign) {
 
 FaceRig FaceRig::build(const Decode& decode, const RigPoses& poses, const RigOptions& options,
                        const std::function<void(double)>& progress) {
-  options.check();
-  poses.check();
-  const at::NoGradGuard no_grad;
-  FaceRig rig;
-  rig.options_ = options;
-  rig.names_ = poses.names;
-  rig.shapes_ = poses.shapes.to(at::kCPU, at::kFloat).contiguous();
-  rig.nodes_ = candidates(poses, options.num_poses);
-  const int64_t shapes = rig.shapes_.size(0);
-  const at::Tensor decoded = decode_all(decode, rig.nodes_, progress);
-  const at::Tensor targets = decoded.narrow(0, 1, shapes);
+  return core::with_plain_errors("rig", [&] {
+    options.check();
+    poses.check();
+    const at::NoGradGuard no_grad;
+    FaceRig rig;
+    rig.options_ = options;
+    rig.names_ = poses.names;
+    rig.shapes_ = poses.shapes.to(at::kCPU, at::kFloat).contiguous();
+    rig.nodes_ = candidates(poses, options.num_poses);
+    const int64_t shapes = rig.shapes_.size(0);
+    const at::Tensor decoded = decode_all(decode, rig.nodes_, progress);
+    const at::Tensor targets = decoded.narrow(0, 1, shapes);
 
-  const ShapeSolver solver(landmark_rows(rig.shapes_).transpose(), rig.names_, options);
-  const Rows points = landmark_rows(rig.nodes_);
-  Rows weights(points.rows(), shapes);
-  for (Eigen::Index n = 0; n < points.rows(); ++n) {
-    std::vector<double> of_pose;
-    solver.solve(points.row(n).transpose(), of_pose);
-    weights.row(n) = Eigen::Map<const Eigen::RowVectorXd>(of_pose.data(), shapes);
-  }
-  const at::Tensor fields =
-      principal_fields(decoded - geometry::combine_fields(weights, targets), options);
-  const int64_t count = fields.size(0);
-  Rows node_fields(points.rows(), count), shape_fields(shapes, count);
-  if (count > 0) {
-    node_fields = products(decoded, fields);
-    shape_fields = products(targets, fields);
-  }
-  const Rows range = (node_fields - weights * shape_fields).cwiseAbs().colwise().maxCoeff();
-  rig.node_fields_ = to_tensor(node_fields);
-  rig.shape_fields_ = to_tensor(shape_fields);
-  rig.scales_ = to_tensor(kHeadroom * range.cwiseMax(1e-9)).flatten();
+    const ShapeSolver solver(landmark_rows(rig.shapes_).transpose(), rig.names_, options);
+    const Rows points = landmark_rows(rig.nodes_);
+    Rows weights(points.rows(), shapes);
+    for (Eigen::Index n = 0; n < points.rows(); ++n) {
+      std::vector<double> of_pose;
+      solver.solve(points.row(n).transpose(), of_pose);
+      weights.row(n) = Eigen::Map<const Eigen::RowVectorXd>(of_pose.data(), shapes);
+    }
+    const at::Tensor fields =
+        principal_fields(decoded - geometry::combine_fields(weights, targets), options);
+    const int64_t count = fields.size(0);
+    Rows node_fields(points.rows(), count), shape_fields(shapes, count);
+    if (count > 0) {
+      node_fields = products(decoded, fields);
+      shape_fields = products(targets, fields);
+    }
+    const Rows range = (node_fields - weights * shape_fields).cwiseAbs().colwise().maxCoeff();
+    rig.node_fields_ = to_tensor(node_fields);
+    rig.shape_fields_ = to_tensor(shape_fields);
+    rig.scales_ = to_tensor(kHeadroom * range.cwiseMax(1e-9)).flatten();
 
-  std::vector<at::Tensor> all = {targets};
-  for (int64_t c = 0; c < count; ++c) {
-    const at::Tensor field = fields[c] * rig.scales_[c].item<double>();
-    all.push_back(at::stack({field, -field}));
-    rig.names_.push_back(numbered(c, "plus"));
-    rig.names_.push_back(numbered(c, "minus"));
-  }
-  rig.targets_ = at::cat(all).contiguous();
-  rig.prepare();
-  if (progress) progress(1.0);
-  return rig;
+    std::vector<at::Tensor> all = {targets};
+    for (int64_t c = 0; c < count; ++c) {
+      const at::Tensor field = fields[c] * rig.scales_[c].item<double>();
+      all.push_back(at::stack({field, -field}));
+      rig.names_.push_back(numbered(c, "plus"));
+      rig.names_.push_back(numbered(c, "minus"));
+    }
+    rig.targets_ = at::cat(all).contiguous();
+    rig.prepare();
+    if (progress) progress(1.0);
+    return rig;
+  });
 }
 
 }  // namespace freetalk::rig

@@ -6,7 +6,9 @@
 #include <cmath>
 #include <utility>
 
+#include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
+#include "freetalk/core/torch_error.h"
 #include "matrices.h"
 #include "shape_solver.h"
 
@@ -27,8 +29,8 @@ geometry::GreedyInterpolation interpolation_of(const at::Tensor& poses) {
 }
 
 void check_landmarks(const at::Tensor& landmarks, const char* name) {
-  FREETALK_CHECK(landmarks.defined() && landmarks.dim() == 3 && landmarks.size(1) == 68 &&
-                     landmarks.size(2) == 3,
+  FREETALK_CHECK(landmarks.defined() && landmarks.dim() == 3 &&
+                     landmarks.size(1) == core::kNumLandmarks && landmarks.size(2) == 3,
                  "rig: ", name, " must be (N, 68, 3) landmark displacements, found ",
                  landmarks.defined() ? core::join(landmarks.sizes()) : std::string("nothing"));
 }
@@ -84,35 +86,39 @@ void FaceRig::prepare() {
 }
 
 at::Tensor FaceRig::solve(const at::Tensor& landmarks, SolveState* state) const {
-  check_landmarks(landmarks, "landmarks");
-  const Rows points = landmark_rows(landmarks);
-  const Rows fields = solver_->interpolation.evaluate(points, solver_->coefficients);
-  const int64_t count = num_shapes(), correctives = scales_.size(0);
-  SolveState own;
-  std::vector<double>& weights = (state != nullptr ? *state : own).shapes;
-  FREETALK_CHECK(weights.empty() || static_cast<int64_t>(weights.size()) == count,
-                 "rig: the state is of another rig");
-  at::Tensor result = at::empty({points.rows(), targets_.size(0)}, at::kFloat);
-  float* out = result.data_ptr<float>();
-  for (Eigen::Index t = 0; t < points.rows(); ++t) {
-    solver_->shapes.solve(points.row(t).transpose(), weights);
-    out = std::transform(weights.begin(), weights.end(), out,
-                         [](double weight) { return static_cast<float>(weight); });
-    const Eigen::Map<const Eigen::RowVectorXd> of_shapes(weights.data(), count);
-    const Eigen::RowVectorXd left = fields.row(t) - of_shapes * solver_->shape_fields;
-    for (int64_t c = 0; c < correctives; ++c) {
-      const double value = left[c] / solver_->scales(0, c);
-      *out++ = static_cast<float>(std::clamp(value, 0.0, 1.0));
-      *out++ = static_cast<float>(std::clamp(-value, 0.0, 1.0));
+  return core::with_plain_errors("rig", [&] {
+    check_landmarks(landmarks, "landmarks");
+    const Rows points = landmark_rows(landmarks);
+    const Rows fields = solver_->interpolation.evaluate(points, solver_->coefficients);
+    const int64_t count = num_shapes(), correctives = scales_.size(0);
+    SolveState own;
+    std::vector<double>& weights = (state != nullptr ? *state : own).shapes;
+    FREETALK_CHECK(weights.empty() || static_cast<int64_t>(weights.size()) == count,
+                   "rig: the state is of another rig");
+    at::Tensor result = at::empty({points.rows(), targets_.size(0)}, at::kFloat);
+    float* out = result.data_ptr<float>();
+    for (Eigen::Index t = 0; t < points.rows(); ++t) {
+      solver_->shapes.solve(points.row(t).transpose(), weights);
+      out = std::transform(weights.begin(), weights.end(), out,
+                           [](double weight) { return static_cast<float>(weight); });
+      const Eigen::Map<const Eigen::RowVectorXd> of_shapes(weights.data(), count);
+      const Eigen::RowVectorXd left = fields.row(t) - of_shapes * solver_->shape_fields;
+      for (int64_t c = 0; c < correctives; ++c) {
+        const double value = left[c] / solver_->scales(0, c);
+        *out++ = static_cast<float>(std::clamp(value, 0.0, 1.0));
+        *out++ = static_cast<float>(std::clamp(-value, 0.0, 1.0));
+      }
     }
-  }
-  return result;
+    return result;
+  });
 }
 
 at::Tensor FaceRig::vertices(const at::Tensor& weights) const {
-  FREETALK_CHECK(weights.dim() == 2 && weights.size(1) == targets_.size(0),
-                 "rig: weights must be (T, ", targets_.size(0), "), found ", weights.sizes());
-  return geometry::combine_fields(to_rows(weights), targets_);
+  return core::with_plain_errors("rig", [&] {
+    FREETALK_CHECK(weights.dim() == 2 && weights.size(1) == targets_.size(0),
+                   "rig: weights must be (T, ", targets_.size(0), "), found ", weights.sizes());
+    return geometry::combine_fields(to_rows(weights), targets_);
+  });
 }
 
 }  // namespace freetalk::rig

@@ -11,7 +11,9 @@
 
 #include "core/autocast.h"
 #include "core/parallel.h"
+#include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
+#include "freetalk/core/torch_error.h"
 #include "freetalk/nn/diffusion_net.h"
 #include "nn/fused_diffusion.h"
 
@@ -122,7 +124,8 @@ FrameDecoder::Plan FrameDecoder::plan() const {
   const int64_t in_work =
       std::clamp<int64_t>(options_.memory_bytes / of_work, 1, core::num_threads());
   const auto& o = model_->options();
-  const int64_t of_inputs = 3 * 68 * (o.gcn_hidden + o.index_code_dim + 3 * o.attention_dim);
+  const int64_t of_inputs =
+      core::kMotionDim * (o.gcn_hidden + o.index_code_dim + 3 * o.attention_dim);
   const int64_t of_frame = 4 * (2 * 3 * vertices + of_inputs);
   const int64_t left = options_.memory_bytes - in_work * of_work;
   return {std::clamp<int64_t>(left / of_frame / in_work * in_work, in_work, kMaxChunk), in_work};
@@ -159,12 +162,14 @@ at::Tensor FrameDecoder::decode_chunk(const at::Tensor& landmarks, int64_t in_wo
 
 void FrameDecoder::each_chunk(const at::Tensor& landmarks,
                               const std::function<void(int64_t, const at::Tensor&)>& use) const {
-  const torch::NoGradGuard no_grad;
-  const auto [chunk, in_work] = plan();
-  for (int64_t first = 0; first < landmarks.size(0); first += chunk) {
-    const int64_t count = std::min(chunk, landmarks.size(0) - first);
-    use(first, decode_chunk(landmarks.narrow(0, first, count), in_work));
-  }
+  core::with_plain_errors("STM", [&] {
+    const torch::NoGradGuard no_grad;
+    const auto [chunk, in_work] = plan();
+    for (int64_t first = 0; first < landmarks.size(0); first += chunk) {
+      const int64_t count = std::min(chunk, landmarks.size(0) - first);
+      use(first, decode_chunk(landmarks.narrow(0, first, count), in_work));
+    }
+  });
 }
 
 void FrameDecoder::decode(const at::Tensor& landmarks,

@@ -5,8 +5,10 @@
 #include <algorithm>
 #include <cmath>
 
+#include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
 #include "freetalk/core/options.h"
+#include "freetalk/core/torch_error.h"
 #include "freetalk/nn/diffusion_net.h"
 #include "freetalk/nn/jacobian_field.h"
 #include "freetalk/nn/mlp.h"
@@ -15,9 +17,9 @@
 namespace freetalk::stm {
 namespace {
 
-constexpr int64_t kNumLandmarks = 68;
-constexpr int64_t kMotionDim = 3 * kNumLandmarks;  // D
-constexpr int64_t kMeshDim = 6;                    // position and normal
+using core::kMotionDim;
+using core::kNumLandmarks;
+constexpr int64_t kMeshDim = 6;  // position and normal
 
 void check_name(const char* option, const std::string& value,
                 const std::vector<std::string>& known) {
@@ -152,23 +154,25 @@ std::array<at::Tensor, 3> StmImpl::first_layer_parts() {
 
 MeshFeatures StmImpl::encode(const at::Tensor& positions,
                              const geometry::SurfaceOperators& operators) {
-  const int64_t vertices = operators.num_vertices();
-  FREETALK_CHECK(positions.dim() == 2 && positions.size(0) == vertices && positions.size(1) == 3,
-                 "STM: expected positions (", vertices, ", 3), found ", positions.sizes());
-  FREETALK_CHECK(!(encoder_->uses_eigenbasis() || decoder_->uses_eigenbasis()) ||
-                     operators.k_eig() == options_.k_eig,
-                 "STM: expected operators with k = ", options_.k_eig, " eigenpairs, found ",
-                 operators.k_eig());
-  const at::Tensor input =
-      at::cat({positions / options_.length_scale, operators.normals}, 1).unsqueeze(0);
-  const at::Tensor features = encoder_->forward(input, operators).squeeze(0);  // (V, d)
-  MeshFeatures mesh;
-  mesh.hidden = at::linear(features, first_layer_parts()[0], decoder_->first_layer()->bias);
-  if (options_.uses_attention()) {
-    mesh.queries =
-        query_proj_(features).view({vertices, options_.attention_heads, -1}).transpose(0, 1);
-  }
-  return mesh;
+  return core::with_plain_errors("STM", [&] {
+    const int64_t vertices = operators.num_vertices();
+    FREETALK_CHECK(positions.dim() == 2 && positions.size(0) == vertices && positions.size(1) == 3,
+                   "STM: expected positions (", vertices, ", 3), found ", positions.sizes());
+    FREETALK_CHECK(!(encoder_->uses_eigenbasis() || decoder_->uses_eigenbasis()) ||
+                       operators.k_eig() == options_.k_eig,
+                   "STM: expected operators with k = ", options_.k_eig, " eigenpairs, found ",
+                   operators.k_eig());
+    const at::Tensor input =
+        at::cat({positions / options_.length_scale, operators.normals}, 1).unsqueeze(0);
+    const at::Tensor features = encoder_->forward(input, operators).squeeze(0);  // (V, d)
+    MeshFeatures mesh;
+    mesh.hidden = at::linear(features, first_layer_parts()[0], decoder_->first_layer()->bias);
+    if (options_.uses_attention()) {
+      mesh.queries =
+          query_proj_(features).view({vertices, options_.attention_heads, -1}).transpose(0, 1);
+    }
+    return mesh;
+  });
 }
 
 at::Tensor StmImpl::landmark_features(const at::Tensor& landmarks) {
@@ -194,18 +198,20 @@ at::Tensor StmImpl::attend(const at::Tensor& queries, const at::Tensor& motion) 
 
 at::Tensor StmImpl::decode(const MeshFeatures& mesh, const geometry::SurfaceOperators& operators,
                            const at::Tensor& landmarks) {
-  check_landmarks(landmarks);
-  const at::Tensor motion = landmarks / options_.displacement_scale;
-  // The decoder's first layer over [f_i, g_t, c_ti], split into its three parts.
-  const auto parts = first_layer_parts();
-  at::Tensor hidden;
-  if (options_.uses_attention()) hidden = at::linear(attend(mesh.queries, motion), parts[2]);
-  if (options_.uses_global_motion()) {
-    const at::Tensor global = at::linear(motion.flatten(1), parts[1]).unsqueeze(1);  // (T, 1, C)
-    hidden = hidden.defined() ? hidden + global : global;
-  }
-  return decoder_->forward_hidden(hidden + mesh.hidden.unsqueeze(0), operators) *
-         options_.displacement_scale;
+  return core::with_plain_errors("STM", [&] {
+    check_landmarks(landmarks);
+    const at::Tensor motion = landmarks / options_.displacement_scale;
+    // The decoder's first layer over [f_i, g_t, c_ti], split into its three parts.
+    const auto parts = first_layer_parts();
+    at::Tensor hidden;
+    if (options_.uses_attention()) hidden = at::linear(attend(mesh.queries, motion), parts[2]);
+    if (options_.uses_global_motion()) {
+      const at::Tensor global = at::linear(motion.flatten(1), parts[1]).unsqueeze(1);  // (T, 1, C)
+      hidden = hidden.defined() ? hidden + global : global;
+    }
+    return decoder_->forward_hidden(hidden + mesh.hidden.unsqueeze(0), operators) *
+           options_.displacement_scale;
+  });
 }
 
 at::Tensor StmImpl::forward(const at::Tensor& positions,
@@ -215,22 +221,24 @@ at::Tensor StmImpl::forward(const at::Tensor& positions,
 }
 
 FrameInputs StmImpl::frame_inputs(const at::Tensor& landmarks) {
-  check_landmarks(landmarks);
-  const int64_t frames = landmarks.size(0), heads = options_.attention_heads;
-  const int64_t size = options_.attention_dim / heads;
-  const at::Tensor motion = landmarks / options_.displacement_scale;
-  const auto parts = first_layer_parts();
-  FrameInputs inputs;
-  if (options_.uses_global_motion()) inputs.offsets = at::linear(motion.flatten(1), parts[1]);
-  if (options_.uses_attention()) {
-    const at::Tensor features = landmark_features(motion);  // (T, 68, d)
-    const auto split_heads = [&](const at::Tensor& x) {
-      return x.view({frames, kNumLandmarks, heads, size}).transpose(1, 2);
-    };
-    inputs.keys = split_heads(key_proj_(features)) / std::sqrt(static_cast<double>(size));
-    inputs.values = split_heads(value_proj_(features));
-  }
-  return inputs;
+  return core::with_plain_errors("STM", [&] {
+    check_landmarks(landmarks);
+    const int64_t frames = landmarks.size(0), heads = options_.attention_heads;
+    const int64_t size = options_.attention_dim / heads;
+    const at::Tensor motion = landmarks / options_.displacement_scale;
+    const auto parts = first_layer_parts();
+    FrameInputs inputs;
+    if (options_.uses_global_motion()) inputs.offsets = at::linear(motion.flatten(1), parts[1]);
+    if (options_.uses_attention()) {
+      const at::Tensor features = landmark_features(motion);  // (T, 68, d)
+      const auto split_heads = [&](const at::Tensor& x) {
+        return x.view({frames, kNumLandmarks, heads, size}).transpose(1, 2);
+      };
+      inputs.keys = split_heads(key_proj_(features)) / std::sqrt(static_cast<double>(size));
+      inputs.values = split_heads(value_proj_(features));
+    }
+    return inputs;
+  });
 }
 
 int64_t StmImpl::frames_per_chunk(int64_t num_vertices, int64_t memory_bytes) const {

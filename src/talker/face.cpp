@@ -9,8 +9,10 @@
 #include "core/scratch.h"
 #include "face_state.h"
 #include "freetalk/animation/resample.h"
+#include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
 #include "freetalk/core/options.h"
+#include "freetalk/core/torch_error.h"
 #include "freetalk/stm/adaptive_decoder.h"
 #include "motion.h"
 #include "stages.h"
@@ -93,7 +95,7 @@ const geometry::Alignment& Face::alignment() const { return state_->report.align
 const Report& Face::report() const { return state_->report; }
 
 int64_t Face::num_frames(const audio::Audio& audio, double fps) {
-  return animation::num_frames(audio.duration_s(), fps);
+  return core::num_frames(audio.duration_s(), fps);
 }
 
 animation::Animation Face::animate(const audio::Audio& audio, const AnimateOptions& options,
@@ -109,42 +111,44 @@ std::vector<animation::Animation> Face::animate_many(const audio::Audio& audio,
                                                      const AnimateOptions& options,
                                                      const Progress& progress, Report* report,
                                                      const at::Tensor& out) const {
-  const torch::NoGradGuard no_grad;
-  const State& face = *state_;
-  check_performance(audio, seeds, options, face.options.precision, *face.models);
-  const int64_t frames = num_frames(audio, options.fps);
-  const auto results =
-      places(out, options.scratch_dir,
-             {static_cast<int64_t>(seeds.size()), frames, face.mesh.num_vertices(), 3});
-  Report own_report;
-  Report& found = report != nullptr ? *report : own_report;
-  found = face.report;
-  found.timings.clear();
-  Stages stages(progress, found);
-  const auto motions = landmark_motion(*face.models, audio, frames, seeds, options,
-                                       face.options.precision, face.device, stages, found);
-  stages.begin("surface");
-  std::vector<animation::Animation> animations;
-  for (size_t k = 0; k < seeds.size(); ++k) {
-    const auto before = static_cast<double>(k);
-    stm::AdaptiveReport decoded;
-    stm::decode_adaptively(
-        *face.decoder, motions[k].to(face.device),
-        [&](int64_t first, const at::Tensor& skin) {
-          const auto place = results[k].narrow(0, first, skin.size(0));
-          place.copy_(face.in_mesh(skin, motions[k].narrow(0, first, skin.size(0))));
-          core::release_pages(place);
-        },
-        {.tolerance_mm = options.tolerance_mm}, &decoded,
-        [&](double share) { stages.at((before + share) / static_cast<double>(seeds.size())); });
-    add_decoded(found, decoded);
-    AnimateOptions used = options;
-    used.seed = seeds[k];
-    animations.push_back({face.mesh, results[k], options.fps, audio,
-                          metadata(used, face.options, found, decoded), face.frame});
-  }
-  stages.end();
-  return animations;
+  return core::with_plain_errors("animate", [&] {
+    const torch::NoGradGuard no_grad;
+    const State& face = *state_;
+    check_performance(audio, seeds, options, face.options.precision, *face.models);
+    const int64_t frames = num_frames(audio, options.fps);
+    const auto results =
+        places(out, options.scratch_dir,
+               {static_cast<int64_t>(seeds.size()), frames, face.mesh.num_vertices(), 3});
+    Report own_report;
+    Report& found = report != nullptr ? *report : own_report;
+    found = face.report;
+    found.timings.clear();
+    Stages stages(progress, found);
+    const auto motions = landmark_motion(*face.models, audio, frames, seeds, options,
+                                         face.options.precision, face.device, stages, found);
+    stages.begin("surface");
+    std::vector<animation::Animation> animations;
+    for (size_t k = 0; k < seeds.size(); ++k) {
+      const auto before = static_cast<double>(k);
+      stm::AdaptiveReport decoded;
+      stm::decode_adaptively(
+          *face.decoder, motions[k].to(face.device),
+          [&](int64_t first, const at::Tensor& skin) {
+            const auto place = results[k].narrow(0, first, skin.size(0));
+            place.copy_(face.in_mesh(skin, motions[k].narrow(0, first, skin.size(0))));
+            core::release_pages(place);
+          },
+          {.tolerance_mm = options.tolerance_mm}, &decoded,
+          [&](double share) { stages.at((before + share) / static_cast<double>(seeds.size())); });
+      add_decoded(found, decoded);
+      AnimateOptions used = options;
+      used.seed = seeds[k];
+      animations.push_back({face.mesh, results[k], options.fps, audio,
+                            metadata(used, face.options, found, decoded), face.frame});
+    }
+    stages.end();
+    return animations;
+  });
 }
 
 }  // namespace freetalk::talker

@@ -9,8 +9,10 @@
 #include "face_state.h"
 #include "freetalk/ats/motion_stream.h"
 #include "freetalk/core/error.h"
+#include "freetalk/core/torch_error.h"
 #include "freetalk/speech/stream.h"
 #include "freetalk/talker/blinks.h"
+#include "freetalk/talker/talker.h"
 #include "motion.h"
 
 namespace freetalk::talker {
@@ -104,39 +106,45 @@ struct Live::State {
 };
 
 Live::Live(Face face, const LiveOptions& options) {
-  options.check();
-  FREETALK_CHECK(options.redo_frames >= 0 && options.context_s >= 0.1,
-                 "redo_frames must not be negative, and context_s be at least 0.1");
-  state_ = std::make_unique<State>(std::move(face), options);
+  core::with_plain_errors("live", [&] {
+    options.check();
+    FREETALK_CHECK(options.redo_frames >= 0 && options.context_s >= 0.1,
+                   "redo_frames must not be negative, and context_s be at least 0.1");
+    state_ = std::make_unique<State>(std::move(face), options);
+  });
 }
 
 Live::~Live() = default;
 Live::Live(Live&&) noexcept = default;
 
 std::vector<LiveFrame> Live::push(const std::vector<float>& samples) {
-  const torch::NoGradGuard no_grad;
-  State& s = *state_;
-  std::vector<LiveFrame> frames;
-  const auto count = static_cast<int64_t>(samples.size());
-  for (int64_t first = 0; first < count; first += s.most()) {
-    const int64_t some = std::min(s.most(), count - first);
-    const auto heard =
-        at::from_blob(const_cast<float*>(samples.data() + first), {some}, at::kFloat);
-    const auto features = s.hearing.push(heard);
-    s.num_samples += some;
-    if (features.size(0) > 0) s.add(s.motion.push(features), frames);
-  }
-  return frames;
+  return core::with_plain_errors("live", [&] {
+    const torch::NoGradGuard no_grad;
+    State& s = *state_;
+    std::vector<LiveFrame> frames;
+    const auto count = static_cast<int64_t>(samples.size());
+    for (int64_t first = 0; first < count; first += s.most()) {
+      const int64_t some = std::min(s.most(), count - first);
+      const auto heard =
+          at::from_blob(const_cast<float*>(samples.data() + first), {some}, at::kFloat);
+      const auto features = s.hearing.push(heard);
+      s.num_samples += some;
+      if (features.size(0) > 0) s.add(s.motion.push(features), frames);
+    }
+    return frames;
+  });
 }
 
 std::vector<LiveFrame> Live::finish() {
-  const torch::NoGradGuard no_grad;
-  State& s = *state_;
-  std::vector<LiveFrame> frames;
-  if (s.num_samples == 0) return frames;
-  s.add(s.motion.finish(s.hearing.finish()), frames);
-  s.restart();
-  return frames;
+  return core::with_plain_errors("live", [&] {
+    const torch::NoGradGuard no_grad;
+    State& s = *state_;
+    std::vector<LiveFrame> frames;
+    if (s.num_samples == 0) return frames;
+    s.add(s.motion.finish(s.hearing.finish()), frames);
+    s.restart();
+    return frames;
+  });
 }
 
 void Live::reset() { state_ = std::make_unique<State>(state_->face, state_->options); }
@@ -148,12 +156,14 @@ void Live::set_emotion(const std::string& emotion, std::optional<double> intensi
 }
 
 at::Tensor Live::decode(const LiveFrame& frame) const {
-  const torch::NoGradGuard no_grad;
-  const Face::State& face = state_->face.state();
-  const auto landmarks = frame.landmarks.unsqueeze(0);
-  const auto skin = frame.weights.defined() ? face.rig({}).vertices(frame.weights.unsqueeze(0))
-                                            : face.decoder->decode(landmarks.to(face.device));
-  return face.rest + face.in_mesh(skin, landmarks).squeeze(0);
+  return core::with_plain_errors("live", [&] {
+    const torch::NoGradGuard no_grad;
+    const Face::State& face = state_->face.state();
+    const auto landmarks = frame.landmarks.unsqueeze(0);
+    const auto skin = frame.weights.defined() ? face.rig({}).vertices(frame.weights.unsqueeze(0))
+                                              : face.decoder->decode(landmarks.to(face.device));
+    return face.rest + face.in_mesh(skin, landmarks).squeeze(0);
+  });
 }
 
 double Live::latency_s() const {
@@ -166,5 +176,11 @@ const Face& Live::face() const { return state_->face; }
 int64_t Live::num_held() const { return state_->hearing.num_held() + state_->motion.num_held(); }
 
 Live Face::live(const LiveOptions& options) const { return Live(*this, options); }
+
+Live Talker::live(const Face& face, const LiveOptions& options) const {
+  FREETALK_CHECK(face.state().models == models_,
+                 "the face was prepared by a talker of other weights");
+  return face.live(options);
+}
 
 }  // namespace freetalk::talker

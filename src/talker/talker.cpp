@@ -4,22 +4,25 @@
 
 #include "face_state.h"
 #include "freetalk/core/error.h"
+#include "freetalk/core/torch_error.h"
 #include "freetalk/talker/models.h"
 #include "motion.h"
 
 namespace freetalk::talker {
 
 Talker::Talker(TalkerModels models, c10::Device device) : device_(device) {
-  FREETALK_CHECK(models.speech && models.ats && models.stm,
-                 "Talker needs a speech encoder, an ATS and an STM");
-  const auto settle = [&](torch::nn::Module& model) {
-    model.to(device);
-    model.eval();
-  };
-  settle(*models.speech);
-  settle(*models.ats);
-  settle(*models.stm);
-  models_ = std::make_shared<const TalkerModels>(std::move(models));
+  core::with_plain_errors("Talker", [&] {
+    FREETALK_CHECK(models.speech && models.ats && models.stm,
+                   "Talker needs a speech encoder, an ATS and an STM");
+    const auto settle = [&](torch::nn::Module& model) {
+      model.to(device);
+      model.eval();
+    };
+    settle(*models.speech);
+    settle(*models.ats);
+    settle(*models.stm);
+    models_ = std::make_shared<const TalkerModels>(std::move(models));
+  });
 }
 
 const std::vector<std::string>& Talker::emotions() const {
@@ -38,7 +41,8 @@ geometry::Alignment Talker::align(const mesh::Mesh& mesh,
 
 Face Talker::prepare(const mesh::Mesh& mesh, const FaceOptions& options,
                      const Progress& progress) const {
-  return Face(Face::State::prepare(models_, device_, mesh, options, progress));
+  return Face(core::with_plain_errors(
+      "prepare", [&] { return Face::State::prepare(models_, device_, mesh, options, progress); }));
 }
 
 animation::Animation Talker::animate(const audio::Audio& audio, const mesh::Mesh& mesh,

@@ -5,11 +5,7 @@
 
 #include <cstdint>
 
-#include "freetalk/core/conventions.h"
-
 namespace freetalk::animation {
-
-using core::num_frames;
 
 /// Catmull-Rom interpolation in time, held beyond the ends. Frame t of either rate is at t / fps;
 /// where times coincide, values are those of the source exactly.

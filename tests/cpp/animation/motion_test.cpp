@@ -5,6 +5,7 @@
 #include "freetalk/animation/jaw.h"
 #include "freetalk/animation/morph.h"
 #include "freetalk/animation/resample.h"
+#include "freetalk/core/conventions.h"
 #include "scratch.h"
 
 namespace freetalk::animation {
@@ -71,8 +72,8 @@ TEST(Resample, HoldsTheLastFrame) {
 }
 
 TEST(Resample, FramesOfAClip) {
-  EXPECT_EQ(num_frames(1.0, 30), 30);
-  EXPECT_EQ(num_frames(0.001, 30), 1);
+  EXPECT_EQ(core::num_frames(1.0, 30), 30);
+  EXPECT_EQ(core::num_frames(0.001, 30), 1);
 }
 
 Eigen::MatrixXd chin_landmarks() {

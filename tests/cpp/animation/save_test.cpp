@@ -3,9 +3,9 @@
 #include <fstream>
 #include <nlohmann/json.hpp>
 
+#include "core/file.h"
 #include "core/scratch.h"
 #include "freetalk/animation/animation.h"
-#include "freetalk/core/file.h"
 #include "scratch.h"
 
 namespace freetalk::animation {
@@ -189,6 +189,9 @@ TEST(Save, RefusesWhatItCannotWriteAndLeavesNothing) {
   EXPECT_THROW(animation.save(folder / "a.obj"), std::invalid_argument);
   EXPECT_THROW(animation.save("/proc/nowhere/a.npz"), std::runtime_error);
   EXPECT_THROW(animation.save("/proc/nowhere/*.obj"), std::runtime_error);
+  auto sparse = animation;  // torch's own error, as the documented type
+  sparse.displacements = animation.displacements.to_sparse();
+  EXPECT_THROW(sparse.save(folder / "a.npz"), std::runtime_error);
   EXPECT_EQ(folder.count(), 0);
 }
 

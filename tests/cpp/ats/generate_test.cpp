@@ -245,6 +245,10 @@ TEST(Generate, WrongInputsThrow) {
   options.precision = "float8";
   EXPECT_THROW(generate(model, features, emotion, 2.0, options, core::make_generator(0)),
                std::invalid_argument);
+  // The generator is of another device: torch's own error, as the documented type.
+  EXPECT_THROW(
+      generate(model, features.to(torch::kMeta), emotion, 2.0, {}, core::make_generator(0)),
+      std::runtime_error);
 }
 
 }  // namespace

@@ -80,6 +80,8 @@ TEST(MotionStream, RejectsWhatItCannotDo) {
   rejected([](MotionStreamOptions& o) { o.emotion_ramp_s = 0; });
   MotionStream stream(stream_model(), happy(), 0, {.window_frames = 20});
   EXPECT_THROW(stream.push(torch::zeros({3, kChannels + 1})), std::invalid_argument);
+  // Without data: torch's own error, as the documented type.
+  EXPECT_THROW(stream.push(torch::zeros({3, kChannels}, torch::kMeta)), std::runtime_error);
 }
 
 }  // namespace

@@ -7,6 +7,8 @@
 #include <cmath>
 #include <filesystem>
 
+#include "core/file.h"
+#include "freetalk/core/log.h"
 #include "freetalk/core/random.h"
 
 namespace freetalk::rig {
@@ -146,6 +148,30 @@ TEST(FaceRig, IsMadeOnceForTheSameContent) {
   std::filesystem::remove_all(folder);
 }
 
+TEST(FaceRig, TellsOfACacheThatIsOfNoUse) {
+  const auto folder = std::filesystem::path(testing::TempDir()) / "face_rig_broken_test";
+  std::filesystem::remove_all(folder);
+  std::vector<std::string> told;
+  core::set_log_sink([&](core::LogLevel level, const std::string& text) {
+    if (level == core::LogLevel::kWarning) told.push_back(text);
+  });
+  const FaceRig made = FaceRig::cached("a mesh", folder, decode, poses_of(5));
+  EXPECT_TRUE(told.empty());
+  for (const auto& file : std::filesystem::directory_iterator(folder / "operators")) {
+    core::write_file_atomic(file.path(), std::string("broken"));
+  }
+  const FaceRig again = FaceRig::cached("a mesh", folder, decode, poses_of(5));
+  EXPECT_TRUE(at::equal(again.targets(), made.targets()));
+  ASSERT_EQ(told.size(), 1U);
+  EXPECT_NE(told[0].find("made again"), std::string::npos);
+  core::write_file_atomic(folder / "file", std::string("no folder"));
+  FaceRig::cached("a mesh", folder / "file", decode, poses_of(5));
+  core::set_log_sink({});
+  ASSERT_EQ(told.size(), 2U);
+  EXPECT_NE(told[1].find("not kept"), std::string::npos);
+  std::filesystem::remove_all(folder);
+}
+
 TEST(FaceRig, RefusesWhatDoesNotFit) {
   RigPoses poses = poses_of(5);
   poses.names.pop_back();
@@ -157,6 +183,8 @@ TEST(FaceRig, RefusesWhatDoesNotFit) {
                std::runtime_error);
   EXPECT_THROW(rig().solve(at::zeros({2, 3, 68})), std::invalid_argument);
   EXPECT_THROW(rig().vertices(at::zeros({2, 3})), std::invalid_argument);
+  // Without data: torch's own error, as the documented type.
+  EXPECT_THROW(rig().solve(at::zeros({2, 68, 3}, at::kMeta)), std::runtime_error);
   SolveState other{{0.5}};
   EXPECT_THROW(rig().solve(motion(1, 1), &other), std::invalid_argument);
 }

@@ -191,5 +191,17 @@ TEST(Stm, WrongInputsAreNamed) {
                std::invalid_argument);
 }
 
+TEST(Stm, NoErrorOfTorchComesThrough) {
+  Stm model(small_options());
+  const Prepared mesh = prepare(Sheet(identity_order()), model->options());
+  const MeshFeatures features = model->encode(mesh.positions, mesh.operators);
+  const at::Tensor doubles = random_landmarks(1).to(torch::kDouble);  // the weights are float32
+  EXPECT_THROW(model->encode(mesh.positions.to(torch::kDouble), mesh.operators),
+               std::runtime_error);
+  EXPECT_THROW(model->decode(features, mesh.operators, doubles), std::runtime_error);
+  EXPECT_THROW(FrameDecoder(model.ptr(), features, mesh.operators).decode(doubles),
+               std::runtime_error);
+}
+
 }  // namespace
 }  // namespace freetalk::stm

@@ -181,6 +181,17 @@ TEST_F(LiveTest, BadOptionsAreOneSentence) {
   rejected([](LiveOptions& o) { o.sampler = "ddpm"; });
   rejected([](LiveOptions& o) { o.num_steps = 0; });
   EXPECT_TRUE(on.live({}).finish().empty());
+  EXPECT_THROW(on.live({}).decode(LiveFrame{}), std::runtime_error);
+}
+
+TEST_F(LiveTest, ATalkerStreamsOnTheFacesOfItsWeights) {
+  const auto talker = Talker::from_pretrained(dir_, c10::kCPU);
+  const auto on = talker.prepare(face_mesh(1.0), options());
+  const auto samples = hum(1.0).samples;
+  Live by_talker = Talker(talker).live(on, {}), by_face = on.live({});
+  EXPECT_TRUE(
+      at::equal(motion(run(by_talker, samples, 5000)), motion(run(by_face, samples, 5000))));
+  EXPECT_THROW(talker.live(face(), {}), std::invalid_argument);
 }
 
 }  // namespace

@@ -162,6 +162,7 @@ TEST_F(TalkerTest, BadInputIsOneSentence) {
     EXPECT_NE(std::string(error.what()).find("surprise"), std::string::npos);
   }
   EXPECT_THROW(talker.animate(audio::Audio{}, mesh, options()), std::invalid_argument);
+  EXPECT_THROW(Talker(talker.models(), c10::Device("cuda:99")), std::runtime_error);
 }
 
 TEST_F(TalkerTest, AcceptsAliasesAndMixtures) {
