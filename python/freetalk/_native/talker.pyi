@@ -304,6 +304,7 @@ class Talker:
         options: TalkerOptions = ...,
         progress: collections.abc.Callable[[str, float], None] | None = None,
     ) -> tuple[list[freetalk._native.animation.Animation], Report]: ...
+    def live(self, face: Face, options: LiveOptions = ...) -> Live: ...
     def prepare(
         self,
         mesh: freetalk._native.mesh.Mesh,
