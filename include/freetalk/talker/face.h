@@ -54,8 +54,8 @@ class Face {
   explicit Face(std::shared_ptr<const State> state);
 
   /// T = max(1, round(duration * fps)) frames. The same options, inputs and machine give the same
-  /// bits on the CPU, on a GPU the same motion up to rounding. Memory beside the (T, V, 3) result doesn't grow with T. Silence gives a resting face and
-  /// a notice.
+  /// bits on the CPU, on a GPU the same motion up to rounding. Memory beside the (T, V, 3) result
+  /// doesn't grow with T. Silence gives a resting face and a notice.
   /// @param report filled if given.
   /// @param out (T, V, 3) contiguous float32 on the CPU, to be filled and to be the animation's
   /// displacements; undefined: a new one. See num_frames().

@@ -76,7 +76,8 @@ class Live {
   Live(Live&&) noexcept;
 
   /// Frames that are final with these further samples, in order: the same however the samples are
-  /// divided over the calls, to the bit on the CPU, up to rounding on a GPU. Memory does not grow, and no call costs more than its samples.
+  /// divided over the calls, to the bit on the CPU, up to rounding on a GPU. Memory does not grow,
+  /// and no call costs more than its samples.
   /// @param samples (n,) in [-1, 1], 16 kHz, mono; n may be 0.
   std::vector<LiveFrame> push(const std::vector<float>& samples);
   /// The rest, as if the speech ended here: max(1, round(duration * fps)) frames in all. The stream

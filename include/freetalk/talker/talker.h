@@ -33,8 +33,8 @@ class Talker {
                                 std::optional<c10::Device> device = std::nullopt);
   /// @param models see talker/models.h; moved to `device`, put into evaluation mode, and not to be
   /// changed afterwards.
-  /// @throws std::invalid_argument where one is missing; std::runtime_error for a device that is not
-  /// there.
+  /// @throws std::invalid_argument where one is missing; std::runtime_error for a device that is
+  /// not there.
   explicit Talker(TalkerModels models, c10::Device device = c10::kCPU);
 
   /// Everything that depends on the mesh alone: for several clips, seeds or live speech on one
