@@ -121,30 +121,13 @@ class FusedEngine final : public FusedDiffusion::Engine {
     static size_t size(int64_t count) { return static_cast<size_t>(count); }
   };
 
-  std::vector<T> rows_of(const at::Tensor& x) const {
-    std::vector<T> result(static_cast<size_t>(round_up(x.numel(), 16)));
-    const at::Tensor source =
-        at::constant_pad_nd(x.reshape({-1}), {0, static_cast<int64_t>(result.size()) - x.numel()});
-    kernels_.convert(source.const_data_ptr<float>(), source.numel(), result.data());
-    return result;
-  }
-
-  /// A (out, in) weight as a packed right operand (in, out).
-  std::vector<T> packed_weight(const at::Tensor& weight) const {
-    const at::Tensor square = padded(plain(weight), columns_, columns_).t().contiguous();
-    std::vector<T> result(static_cast<size_t>(square.numel()));
-    kernels_.pack(square.const_data_ptr<float>(), columns_, columns_, result.data());
-    return result;
-  }
-
   void prepare_mesh(const geometry::SurfaceOperators& operators, const at::Tensor& base) {
     const at::Tensor evecs = plain(operators.evecs).index_select(0, mesh_.order);
-    basis_ = rows_of(padded(evecs, vertices_, modes_));
+    basis_ = rows_of(kernels_, padded(evecs, vertices_, modes_));
     if constexpr (kCentred) centre(evecs);
     const at::Tensor mass = plain(operators.mass).index_select(0, mesh_.order);
     const at::Tensor weighted = padded(evecs * mass.unsqueeze(1), round_up(vertices_, 2), modes_);
-    weighted_.resize(static_cast<size_t>(weighted.numel()));
-    group_exact(weighted);
+    weighted_ = grouped_rows(kernels_, weighted);
     base_ = padded(plain(base).index_select(0, mesh_.order), vertices_, columns_);
   }
 
@@ -162,14 +145,14 @@ class FusedEngine final : public FusedDiffusion::Engine {
     kernels_.pack(whole.const_data_ptr<float>(), attended_columns(), columns_, mixing_.data());
     for (int64_t head = 0; head < heads_; ++head) {
       const at::Tensor ordered = plain(queries[head]).index_select(0, mesh_.order);
-      queries_.push_back(rows_of(padded(ordered, vertices_, head_columns_)));
+      queries_.push_back(rows_of(kernels_, padded(ordered, vertices_, head_columns_)));
     }
   }
 
   void in_two_parts(const at::Tensor& x, std::vector<T>* parts) const {
     const at::Tensor rounded = x.to(at::kBFloat16).to(at::kFloat);
-    parts[0] = rows_of(rounded);
-    parts[1] = rows_of(x - rounded);
+    parts[0] = rows_of(kernels_, rounded);
+    parts[1] = rows_of(kernels_, x - rounded);
   }
 
   /// The basis less its mean over each tile, and those means, in two parts each, exact to 2^-16.
@@ -186,31 +169,19 @@ class FusedEngine final : public FusedDiffusion::Engine {
     in_two_parts(means, means_);
   }
 
-  /// The mass-weighted basis, grouped; modes_ need not be a multiple of the vector.
-  void group_exact(const at::Tensor& weighted) {
-    const int64_t group = kernels_.group;
-    const std::vector<T> rows = rows_of(weighted);
-    for (int64_t v = 0; v < weighted.size(0); ++v) {
-      for (int64_t k = 0; k < modes_; ++k) {
-        weighted_[static_cast<size_t>(v / group * group * modes_ + k * group + v % group)] =
-            rows[static_cast<size_t>(v * modes_ + k)];
-      }
-    }
-  }
-
   void prepare_block(DiffusionNetBlockImpl& block, const at::Tensor& evals) {
     Block result;
     const at::Tensor time = plain(block.diffusion->time());
     result.decay =
         padded(at::exp(-plain(evals).unsqueeze(1) * time.unsqueeze(0)), modes_, columns_);
-    result.a_re = packed_weight(block.gradient_features->a_re->weight);
-    result.a_im = packed_weight(block.gradient_features->a_im->weight);
+    result.a_re = packed_weight(kernels_, block.gradient_features->a_re->weight, columns_);
+    result.a_im = packed_weight(kernels_, block.gradient_features->a_im->weight, columns_);
     const at::Tensor first = plain(block.mlp[0]->weight);
-    result.of_x = packed_weight(first.narrow(1, 0, width_));
-    result.of_diffused = packed_weight(first.narrow(1, width_, width_));
-    result.of_products = packed_weight(first.narrow(1, 2 * width_, width_));
-    result.second = packed_weight(block.mlp[1]->weight);
-    result.third = packed_weight(block.mlp[2]->weight);
+    result.of_x = packed_weight(kernels_, first.narrow(1, 0, width_), columns_);
+    result.of_diffused = packed_weight(kernels_, first.narrow(1, width_, width_), columns_);
+    result.of_products = packed_weight(kernels_, first.narrow(1, 2 * width_, width_), columns_);
+    result.second = packed_weight(kernels_, block.mlp[1]->weight, columns_);
+    result.third = packed_weight(kernels_, block.mlp[2]->weight, columns_);
     for (size_t layer = 0; layer < 3; ++layer) {
       result.bias[layer] =
           padded(plain(block.mlp[layer]->bias).unsqueeze(0), 1, columns_).squeeze(0);

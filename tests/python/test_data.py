@@ -27,8 +27,9 @@ from freetalk.data import (
     lip_opening,
     open_dataset,
     open_datasets,
+    pack_writer,
 )
-from freetalk.data import pack as pack_module
+from freetalk.data.pack import Rows
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -105,7 +106,7 @@ def test_a_window_of_a_huge_dataset_costs_the_window_alone(tmp_path: Path) -> No
     huge = np.lib.format.open_memmap(path, "w+", np.float16, (200_000, 5023, 3))  # 6 GB, sparse
     huge[150_000] = 1.0
     del huge
-    rows = pack_module.Rows(path)
+    rows = Rows(path)
 
     def mapped_kb() -> int:
         status = Path("/proc/self/status").read_text()
@@ -264,7 +265,7 @@ def content(out: Path) -> dict[str, bytes]:
 def test_a_writer_that_is_killed_goes_on_where_it_was(
     at: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pack_module, "_COMMIT_TAKES", 4)
+    monkeypatch.setattr(pack_writer, "_COMMIT_TAKES", 4)
     write_all(tmp_path / "whole")
 
     def kill(number: int) -> None:
@@ -292,9 +293,9 @@ def test_a_writer_that_is_killed_goes_on_where_it_was(
 
 
 def test_a_full_disk_leaves_what_fits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pack_module, "_COMMIT_TAKES", 4)
+    monkeypatch.setattr(pack_writer, "_COMMIT_TAKES", 4)
     write_all(tmp_path / "whole")
-    flush, room = pack_module._flush, [9]
+    flush, room = pack_writer._flush, [9]
 
     def full(file: Any) -> None:
         room[0] -= 1
@@ -302,11 +303,11 @@ def test_a_full_disk_leaves_what_fits(tmp_path: Path, monkeypatch: pytest.Monkey
             raise OSError(28, "No space left on device")
         flush(file)
 
-    monkeypatch.setattr(pack_module, "_flush", full)
+    monkeypatch.setattr(pack_writer, "_flush", full)
     with pytest.raises(OSError, match="No space left"):
         write_all(tmp_path / "out")
     assert not (tmp_path / "out").exists()
-    monkeypatch.setattr(pack_module, "_flush", flush)
+    monkeypatch.setattr(pack_writer, "_flush", flush)
     assert 0 < write_all(tmp_path / "out") < 40
     assert content(tmp_path / "out") == content(tmp_path / "whole")
 

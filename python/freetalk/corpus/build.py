@@ -15,7 +15,7 @@ from freetalk.corpus import topologies
 from freetalk.corpus.assets import FaceModel, load_face_model
 from freetalk.corpus.plan import DISJOINT, SIZES, SPLITS, Size, all_jobs
 from freetalk.corpus.sequences import FPS, Job, Made, Maker, voice_id
-from freetalk.data.pack import PackWriter
+from freetalk.data.pack_writer import PackWriter
 from freetalk.data.pose import METRES
 
 CONTENTS = 4  # rises when the same size and seed give other sequences

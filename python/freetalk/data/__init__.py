@@ -7,16 +7,8 @@ release is raised, or listed among the takes left out, by name (:mod:`freetalk.d
 """
 
 from freetalk.data.check import DatasetReport, check_dataset
-from freetalk.data.dataset import (
-    EMOTIONS,
-    NUM_LANDMARKS,
-    Dataset,
-    FaceMesh,
-    MotionSequence,
-    open_dataset,
-    open_datasets,
-    parse_spec,
-)
+from freetalk.data.dataset import Dataset
+from freetalk.data.emotions import EMOTIONS
 from freetalk.data.errors import (
     DatasetError,
     LabelError,
@@ -30,10 +22,12 @@ from freetalk.data.errors import (
 )
 from freetalk.data.importing import import_dataset
 from freetalk.data.index_files import Landmarks, Mask, index_hash, read_landmarks, read_mask
-from freetalk.data.landmarks import lip_opening
-from freetalk.data.pack import PackWriter
+from freetalk.data.landmarks import NUM_LANDMARKS, lip_opening
+from freetalk.data.opening import open_dataset, open_datasets, parse_spec
+from freetalk.data.pack_writer import PackWriter
 from freetalk.data.resampling import interpolate_frames
 from freetalk.data.safe_pickle import UnsafePickleError, load_pickle
+from freetalk.data.sequences import FaceMesh, MotionSequence
 
 __all__ = [
     "EMOTIONS",

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from freetalk.data.dataset import Dataset, open_dataset
+from freetalk.data.dataset import Dataset
 from freetalk.data.errors import DatasetError
 from freetalk.data.importing import Source
+from freetalk.data.opening import open_dataset
 from freetalk.data.releases import open_release
 
 #: A landmark of a face that speaks moves less than this (mm); more means another template, unit or pose.

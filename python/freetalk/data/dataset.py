@@ -8,130 +8,21 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from pathlib import Path
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from freetalk.data.emotions import EMOTIONS
-from freetalk.data.errors import DatasetError, LayoutError, MissingFileError
-from freetalk.data.pack import FULL_SCALE, NUM_LANDMARKS, SAMPLE_RATE_HZ, Pack
+from freetalk.data.errors import DatasetError
+from freetalk.data.pack import FULL_SCALE, SAMPLE_RATE_HZ, FloatArray, Pack
 from freetalk.data.pose import Pose
-from freetalk.data.resampling import frames_at, resample_frames
+from freetalk.data.resampling import frames_at
+from freetalk.data.sequences import FaceMesh, MotionSequence, read_frames, sequences_of
 from freetalk.data.splits import SPLITS
 
-__all__ = [
-    "EMOTIONS",
-    "NUM_LANDMARKS",
-    "BoolArray",
-    "Dataset",
-    "FaceMesh",
-    "FloatArray",
-    "MotionSequence",
-    "open_dataset",
-    "open_datasets",
-    "parse_spec",
-]
-
-FloatArray = npt.NDArray[np.float32]
-BoolArray = npt.NDArray[np.bool_]
-#: Takes that are kept after they were resampled.
-_KEPT = 32
 #: The neutral face that factors of no joint ask for.
 _NOWHERE = np.zeros((1, 3), np.float32)
-
-
-@dataclass(frozen=True)
-class MotionSequence:
-    """One take, or a clip of one: where its frames lie, what is heard and which affect it shows.
-
-    Attributes:
-        id: unique name within the dataset.
-        split: ``train``, ``val`` or ``test``.
-        source: where the motion comes from, e.g. ``facegood``, ``synthetic``, ``rom``, ``rest``, ``biwi``.
-        take: recording that the sequence was cut from.
-        start_frame: first frame of the take in the packed arrays.
-        stored_frames: frames of the take there, at the pack's rate.
-        num_frames: number of frames T, at `fps`.
-        first_sample: where its sound begins in the packed samples.
-        num_samples: samples of its sound; 0 where there is none.
-        emotion: index into the dataset's ``emotions``.
-        intensity: real number in [1, 3].
-        identity: index of the face that was recorded or drawn.
-        voice: speaker.
-        text: transcript where known.
-        fps: frames per second.
-        topology: meshing that it was recorded on, the only one whose vertices it moves (of
-            ``identity``); ``None`` where it moves every face of its dataset.
-        dataset: name of the dataset that it belongs to.
-        name: its id in the packed folder.
-        offset: frames of the take, at `fps`, before the first one of the clip.
-    """
-
-    id: str
-    split: str
-    source: str
-    take: str
-    start_frame: int
-    stored_frames: int
-    num_frames: int
-    first_sample: int
-    num_samples: int
-    emotion: int
-    intensity: float
-    identity: int
-    voice: str | None
-    text: str | None
-    fps: float = 30.0
-    topology: str | None = None
-    dataset: str = ""
-    name: str = ""
-    offset: int = 0
-
-    @property
-    def has_sound(self) -> bool:
-        """Whether anything was recorded."""
-        return self.num_samples > 0
-
-    def clip(self, name: str, first: int, num_frames: int) -> MotionSequence:
-        """Frames [first, first + num_frames) as a sequence of its own."""
-        samples = [
-            round(frame / self.fps * SAMPLE_RATE_HZ) for frame in (first, first + num_frames)
-        ]
-        begin, end = (min(sample, self.num_samples) for sample in samples)
-        return dataclasses.replace(
-            self,
-            id=name,
-            offset=self.offset + first,
-            num_frames=num_frames,
-            first_sample=self.first_sample + begin,
-            num_samples=end - begin,
-        )
-
-
-@dataclass(frozen=True)
-class FaceMesh:
-    """A neutral face in the canonical frame, with the regions that the metrics need.
-
-    Attributes:
-        name: ``identity/topology``, for messages.
-        vertices: (V, 3) float32, m.
-        faces: (F, 3) int64.
-        lip_mask: (V,) bool.
-        upper_face_mask: (V,) bool.
-        dataset: name of the dataset; its sequences move this face.
-        landmarks: (68,) nearest vertices, where they are known.
-    """
-
-    name: str
-    vertices: FloatArray
-    faces: npt.NDArray[np.int64]
-    lip_mask: BoolArray
-    upper_face_mask: BoolArray
-    dataset: str = ""
-    landmarks: npt.NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True)
@@ -181,7 +72,7 @@ class Dataset:
         if schemes:
             chosen = split or schemes[0]
             self._facts["split"] = {"name": chosen, "source": manifest["splits"][chosen]}
-            self._sequences = _sequences(pack, self.name, schemes.index(chosen))
+            self._sequences = sequences_of(pack, self.name, schemes.index(chosen))
         self._faces: list[_Face] = []
         self._meshings: dict[str, _Face] = {}
         self._add_faces(pack)
@@ -223,7 +114,7 @@ class Dataset:
         self, sequence: MotionSequence, start: int = 0, stop: int | None = None
     ) -> FloatArray:
         """Landmark displacements of frames [start, stop), (T, 68, 3) float32, m."""
-        return self._rows("landmarks", sequence, start, stop)
+        return read_frames(self.packs[sequence.dataset], "landmarks", sequence, start, stop)
 
     def vertex_displacements(
         self, topology: str, sequence: MotionSequence, start: int = 0, stop: int | None = None
@@ -238,7 +129,7 @@ class Dataset:
             raise ValueError(
                 f"{sequence.id} belongs to {sequence.dataset}, it cannot move a face of {meshing.dataset}"
             )
-        values = self._rows("motion", sequence, start, stop)
+        values = read_frames(self.packs[sequence.dataset], "motion", sequence, start, stop)
         if values.ndim == 3:
             return values
         pack = self.packs[sequence.dataset]
@@ -252,7 +143,7 @@ class Dataset:
     ) -> FloatArray:
         """Weights of the ``expressions`` in frames [start, stop), (T, E) float32."""
         if self.expressions:
-            return self._rows("motion", sequence, start, stop)
+            return read_frames(self.packs[sequence.dataset], "motion", sequence, start, stop)
         stop = sequence.num_frames if stop is None else stop
         return np.zeros((stop - start, 0), np.float32)
 
@@ -481,128 +372,3 @@ class Dataset:
             known = ", ".join(self._meshings) or "none"
             raise ValueError(f"no topology {topology!r} in {self.name}; known: {known}")
         return self._meshings[topology]
-
-    def _rows(
-        self, name: str, sequence: MotionSequence, start: int, stop: int | None
-    ) -> FloatArray:
-        """Frames [start, stop) of ``landmarks`` or ``motion``, at the sequence's rate."""
-        stop = sequence.num_frames if stop is None else min(stop, sequence.num_frames)
-        start, stop = start + sequence.offset, stop + sequence.offset
-        pack = self.packs[sequence.dataset]
-        first = sequence.start_frame
-        if sequence.fps != pack.fps:
-            last = first + sequence.stored_frames
-            return _resampled(pack, name, first, last, sequence.fps)[start:stop].copy()
-        return _stored(pack, name, first + start, first + stop)
-
-
-@lru_cache(maxsize=_KEPT)
-def _resampled(pack: Pack, name: str, first: int, stop: int, fps: float) -> FloatArray:
-    """A take at another rate."""
-    return resample_frames(_stored(pack, name, first, stop), pack.fps, fps)
-
-
-def _stored(pack: Pack, name: str, first: int, stop: int) -> FloatArray:
-    rows = pack.motion if name == "motion" else pack.landmarks
-    if rows is None:
-        raise ValueError(f"{pack.directory} knows the landmarks alone, no vertices")
-    return np.asarray(rows.read(first, stop), np.float32)
-
-
-def _sequences(pack: Pack, name: str, scheme: int) -> list[MotionSequence]:
-    topologies = pack.manifest["topologies"]
-    own = None if pack.moves_all or not topologies else str(topologies[0]["name"])
-    found = []
-    for entry in pack.manifest["sequences"]:
-        split = entry["split"][scheme]
-        if split is None:
-            continue
-        if split not in SPLITS or entry["emotion"] not in EMOTIONS:
-            raise DatasetError(
-                f"{pack.directory}: sequence {entry['id']} has the split {split!r} and the emotion "
-                f"{entry['emotion']!r}; known: {', '.join(SPLITS)}; {', '.join(EMOTIONS)}"
-            )
-        found.append(
-            MotionSequence(
-                id=entry["id"],
-                split=split,
-                source=entry["source"],
-                take=entry["take"] or entry["id"],
-                start_frame=entry["start_frame"],
-                stored_frames=entry["num_frames"],
-                num_frames=entry["num_frames"],
-                first_sample=entry["first_sample"],
-                num_samples=entry["num_samples"],
-                emotion=EMOTIONS.index(entry["emotion"]),
-                intensity=float(entry["intensity"]),
-                identity=entry["identity"],
-                voice=entry["voice"],
-                text=entry["text"],
-                fps=pack.fps,
-                topology=own,
-                dataset=name,
-                name=entry["id"],
-            )
-        )
-    return found
-
-
-def parse_spec(spec: str) -> tuple[str, str, str]:
-    """Takes ``NAME=PATH``, ``NAME:SPLIT=PATH`` or a plain path apart.
-
-    Returns:
-        name (empty for a plain path), split scheme (empty for the default), path.
-    """
-    name, equals, path = spec.partition("=")
-    if not equals or "/" in name or Path(spec).exists():
-        return "", "", spec
-    name, _, split = name.partition(":")
-    return name, split, path
-
-
-def open_dataset(path: str | Path, *, name: str = "", split: str = "") -> Dataset:
-    """Opens what ``freetalk data import`` or ``freetalk corpus build`` wrote.
-
-    Args:
-        path: its folder.
-        name: what results call it; by default as it calls itself.
-        split: name of the split scheme; empty for the dataset's first.
-
-    Raises:
-        MissingFileError, LayoutError: no folder; not packed, with the command that packs it.
-        DatasetError: a file disagrees with the manifest, or an unknown split.
-    """
-    directory = Path(path)
-    if not directory.is_dir():
-        raise MissingFileError(f"{directory} is no folder")
-    if not (directory / "manifest.json").is_file():
-        from freetalk.data.releases import kind_of
-
-        raise LayoutError(
-            f"{directory} is not packed: run 'freetalk data import {kind_of(directory)} {directory} --out DIR' "
-            "once, and give DIR"
-        )
-    return Dataset(Pack(directory), name, split)
-
-
-def open_datasets(specs: str | Path | Iterable[str | Path]) -> Dataset:
-    """Opens one dataset, or a mixture of several.
-
-    Args:
-        specs: one or several of ``PATH``, ``NAME=PATH``, ``NAME:SPLIT=PATH``.
-
-    Raises:
-        DatasetError: what is missing or wrong, by name.
-        ValueError: no dataset, or two of one name.
-    """
-    given = [specs] if isinstance(specs, str | Path) else list(specs)
-    if not given:
-        raise ValueError("no dataset is given")
-    parts: dict[str, Dataset] = {}
-    for spec in given:
-        name, split, path = parse_spec(str(spec))
-        dataset = open_dataset(path, name=name, split=split)
-        if dataset.name in parts:
-            raise ValueError(f"two datasets are called {dataset.name}; give them names: NAME=PATH")
-        parts[dataset.name] = dataset
-    return next(iter(parts.values())) if len(parts) == 1 else Dataset.mixture(parts)

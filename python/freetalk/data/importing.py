@@ -23,7 +23,8 @@ from freetalk.data.errors import (
     VertexCountError,
 )
 from freetalk.data.index_files import Landmarks
-from freetalk.data.pack import FULL_SCALE, SAMPLE_RATE_HZ, FloatArray, Meshing, PackWriter
+from freetalk.data.pack import FULL_SCALE, SAMPLE_RATE_HZ, FloatArray, Meshing
+from freetalk.data.pack_writer import PackWriter
 from freetalk.data.pose import Pose, find_pose
 from freetalk.data.releases import Release, Take, open_release
 from freetalk.data.resampling import resample_frames

@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from freetalk.data.errors import DatasetError, VertexCountError
-from freetalk.data.pack import NUM_LANDMARKS, FloatArray
+from freetalk.data.landmarks import NUM_LANDMARKS
+from freetalk.data.pack import FloatArray
 from freetalk.data.safe_pickle import load_pickle, read_pickle
 
 IndexArray = npt.NDArray[np.int64]

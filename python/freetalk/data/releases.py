@@ -23,43 +23,38 @@ Motion is (T, V, 3) or (T, 3 V) floating numbers. Neutral faces are ``templates.
 
 from __future__ import annotations
 
-import csv
-import json
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
-from freetalk.audio import Audio, load_audio, resample
-from freetalk.data.emotions import EMOVOCA_LABELS, LABELS, emotion_of, intensity_of
-from freetalk.data.errors import (
-    DatasetError,
-    LabelError,
-    LayoutError,
-    MissingFileError,
-    MissingTemplateError,
-    VertexCountError,
-)
+from freetalk.data.emotions import LABELS, emotion_of, intensity_of
+from freetalk.data.errors import DatasetError, LabelError, LayoutError, MissingFileError
 from freetalk.data.flame import Flame, find_flame
-from freetalk.data.index_files import Landmarks
-from freetalk.data.pack import NUM_LANDMARKS, SAMPLE_RATE_HZ, FloatArray
+from freetalk.data.landmarks import NUM_LANDMARKS
+from freetalk.data.pack import Array, FloatArray
+from freetalk.data.release_files import (
+    check_labels,
+    common_size,
+    faces_and_template,
+    mesh_template,
+    neutral_faces,
+    parameters,
+    pickled_sound,
+    positions,
+    read_hdf5,
+    read_labels,
+    read_settings,
+    read_sound,
+    sequence_rows,
+    sparse_template,
+)
 from freetalk.data.safe_pickle import load_pickle
 from freetalk.data.splits import SPLITS
-from freetalk.data.templates import (
-    Template,
-    find_template,
-    find_template_mesh,
-    read_faces,
-    read_mesh,
-    speaker_of,
-)
+from freetalk.data.templates import Template, find_template, speaker_of
 
-Array = npt.NDArray[Any]
 KINDS = ("vocaset", "biwi", "multiface", "emovoca", "mead", "folder")
 
 _MEAD = "|".join(LABELS["mead"])
@@ -218,8 +213,8 @@ def _released_vocaset(directory: Path) -> Release:
     for name in _RELEASED:
         if not (directory / name).is_file():
             raise MissingFileError(f"{directory} lacks {name} of VOCAset's release")
-    neutral, template = _faces("vocaset", directory)
-    vertices = _positions(directory / "data_verts.npy", template.num_vertices)
+    neutral, template = faces_and_template("vocaset", directory)
+    vertices = positions(directory / "data_verts.npy", template.num_vertices)
     sounds = load_pickle(directory / "raw_audio_fixed.pkl")
     takes, excluded = [], {}
     for speaker, sentences in load_pickle(directory / "subj_seq_to_idx.pkl").items():
@@ -227,7 +222,9 @@ def _released_vocaset(directory: Path) -> Release:
             name = f"{speaker}_{sentence}"
             number = _NAMES["vocaset"].fullmatch(name)
             try:
-                rows = _rows(frames, len(vertices), f"{directory}/subj_seq_to_idx.pkl: {name}")
+                rows = sequence_rows(
+                    frames, len(vertices), f"{directory}/subj_seq_to_idx.pkl: {name}"
+                )
                 entry = sounds.get(speaker, {}).get(sentence)
                 if entry is None:
                     raise MissingFileError("raw_audio_fixed.pkl has no sound of it")
@@ -239,7 +236,7 @@ def _released_vocaset(directory: Path) -> Release:
                     name,
                     str(speaker),
                     partial(vertices.__getitem__, rows),
-                    partial(_pickled_sound, entry, f"{directory}/raw_audio_fixed.pkl: {name}"),
+                    partial(pickled_sound, entry, f"{directory}/raw_audio_fixed.pkl: {name}"),
                     (directory / "data_verts.npy", directory / "raw_audio_fixed.pkl"),
                     int(number["sentence"]) if number else None,
                 )
@@ -253,7 +250,7 @@ def _released_vocaset(directory: Path) -> Release:
 def _paired(kind: str, directory: Path) -> Release:
     """A ``.npy`` and a sound a take, whose name says what it is."""
     beside = [directory / "vocaset", *(directory.parent / n for n in ("vocaset", "VOCASET"))]
-    neutral, template = _faces(kind, directory, beside if kind == "emovoca" else ())
+    neutral, template = faces_and_template(kind, directory, beside if kind == "emovoca" else ())
     release = Release(
         kind, directory, [], neutral, template, _RATES[kind], notes={"layout": "files in pairs"}
     )
@@ -274,7 +271,7 @@ def _paired(kind: str, directory: Path) -> Release:
             parsed["emotion"] = emotion_of(said["emotion"], kind, stem)
             parsed["intensity"] = intensity_of(said["level"], stem)
         if kind == "emovoca":
-            _check_labels(directory, stem, said["emotion"], int(said["level"]))
+            check_labels(directory, stem, said["emotion"], int(said["level"]))
         return parsed
 
     _add_pairs(release, template.num_vertices, parse)
@@ -283,11 +280,11 @@ def _paired(kind: str, directory: Path) -> Release:
 
 def _folder(directory: Path) -> Release:
     """One's own recordings."""
-    settings = _settings(directory)
-    labels = _labels(directory / "labels.csv")
-    neutral, faces = _neutral_faces([directory])
-    sparse = _common_size(neutral) == NUM_LANDMARKS and not faces
-    template = _sparse_template() if sparse else _template("folder", directory, neutral, faces)
+    settings = read_settings(directory)
+    labels = read_labels(directory / "labels.csv")
+    neutral, faces = neutral_faces([directory])
+    sparse = common_size(neutral) == NUM_LANDMARKS and not faces
+    template = sparse_template() if sparse else mesh_template("folder", directory, neutral, faces)
     heard = (directory / "wav").is_dir()
     if not heard and "fps" not in settings:
         raise LayoutError(
@@ -336,14 +333,14 @@ def _emote(directory: Path) -> Release:
             emotion = emotion_of(label, "mead", str(path))
             intensity = intensity_of(level.removeprefix("level_"), str(path))
             if speaker not in release.neutral:
-                (shape,) = _read_hdf5(path, ("shape",))
+                (shape,) = read_hdf5(path, ("shape",))
                 release.neutral[speaker] = flame.neutral(shape.mean(axis=0))
         except DatasetError as error:
             release.excluded[name] = str(error)
             continue
         release.takes.append(
             Take(
-                name, speaker, partial(_parameters, path), partial(_read_sound, wav), (path, wav),
+                name, speaker, partial(parameters, path), partial(read_sound, wav), (path, wav),
                 emotion=emotion, intensity=intensity,
             )
         )  # fmt: skip
@@ -378,202 +375,12 @@ def _add_pairs(
         release.takes.append(
             Take(
                 id=path.stem,
-                motion=partial(_positions, path, num_points),
-                sound=partial(_read_sound, sound) if with_sound else None,
+                motion=partial(positions, path, num_points),
+                sound=partial(read_sound, sound) if with_sound else None,
                 paths=(path, sound),
                 **parsed,
             )
         )
-
-
-def _positions(path: Path, num_points: int) -> Array:
-    """(T, P, 3) of a ``.npy``, mapped."""
-    try:
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        raise DatasetError(
-            f"{path} is no readable array, or cut short ({error}): fetch or make it again"
-        ) from error
-    shape = array.shape
-    size = int(np.prod(shape[1:])) if array.ndim in (2, 3) else 0
-    if array.dtype.kind != "f" or size == 0 or size % 3 or (array.ndim == 3 and shape[2] != 3):
-        raise VertexCountError(
-            f"{path} is {array.dtype} {shape}; motion is floating numbers of shape (frames, points, 3) "
-            "or (frames, 3 * points)"
-        )
-    if size != 3 * num_points:
-        raise VertexCountError(
-            f"{path} has {size // 3} points a frame, its mesh has {num_points}; the file belongs to "
-            "another mesh, or the template does"
-        )
-    return array.reshape(len(array), num_points, 3)
-
-
-def _rows(frames: Any, total: int, where: str) -> npt.NDArray[np.int64]:
-    """Rows of a sequence in the order of its frames."""
-    if not isinstance(frames, dict) or not frames:
-        raise LayoutError(f"{where} maps no frames to rows")
-    order = sorted(frames)
-    if order != list(range(order[0], order[0] + len(order))):
-        raise LayoutError(f"{where}: frames are missing in between")
-    rows = np.array([frames[frame] for frame in order], dtype=np.int64)
-    if rows.min() < 0 or rows.max() >= total:
-        raise LayoutError(
-            f"{where} names row {rows.max()}, data_verts.npy has {total}; it is cut short, or of another release"
-        )
-    return rows
-
-
-def _parameters(path: Path) -> Array:
-    """(T, E + 3): expression, and the jaw's axis times angle, of an ``.hdf5``."""
-    expression, jaw = _read_hdf5(path, ("exp", "jaw"))
-    if len(expression) != len(jaw) or jaw.shape[1] != 3:
-        raise VertexCountError(
-            f"{path}: exp is {expression.shape}, jaw is {jaw.shape} (frames, numbers)"
-        )
-    return np.concatenate([expression, jaw], axis=1)
-
-
-def _read_hdf5(path: Path, names: Iterable[str]) -> list[Array]:
-    """(T, C) of arrays that are stored as (1, T, C)."""
-    import h5py
-
-    try:
-        with h5py.File(path, "r") as file:
-            missing = [name for name in names if name not in file]
-            if missing:
-                raise DatasetError(f"{path} lacks {', '.join(missing)}; it has {', '.join(file)}")
-            arrays = {name: np.asarray(file[name]) for name in names}
-    except OSError as error:
-        raise DatasetError(f"{path} is no readable HDF5 file: {error}") from error
-    for name, array in arrays.items():
-        if array.ndim != 3 or array.shape[0] != 1:
-            raise VertexCountError(
-                f"{path}: {name} is {array.shape}, expected (1, frames, numbers)"
-            )
-    return [array[0] for array in arrays.values()]
-
-
-def _read_sound(path: Path) -> FloatArray:
-    if not path.is_file():
-        raise MissingFileError(f"its sound {path} is missing")
-    try:
-        return np.asarray(load_audio(path, SAMPLE_RATE_HZ).samples, np.float32)
-    except RuntimeError as error:
-        raise DatasetError(str(error)) from error
-
-
-def _pickled_sound(entry: Any, where: str) -> FloatArray:
-    if not isinstance(entry, dict) or "audio" not in entry or "sample_rate" not in entry:
-        raise LayoutError(f"{where} has no audio and sample_rate")
-    samples = np.asarray(entry["audio"]).squeeze()
-    if samples.ndim != 1 or samples.dtype.kind not in "if" or samples.size == 0:
-        raise DatasetError(
-            f"{where}: its audio is {samples.dtype} {samples.shape}; expected samples"
-        )
-    if samples.dtype.kind == "i":  # 16-bit sound, also where it was stored wider
-        samples = samples / np.float32(2**15 if np.abs(samples).max() <= 2**15 else 2**31)
-    sound = resample(Audio(samples.astype(np.float32), int(entry["sample_rate"])), SAMPLE_RATE_HZ)
-    return np.asarray(sound.samples, np.float32)
-
-
-def _faces(
-    kind: str, directory: Path, elsewhere: Iterable[Path] = ()
-) -> tuple[dict[str, FloatArray], Template]:
-    neutral, faces = _neutral_faces([directory, *elsewhere])
-    return neutral, _template(kind, directory, neutral, faces)
-
-
-def _template(
-    kind: str, directory: Path, neutral: dict[str, FloatArray], faces: dict[str, Array]
-) -> Template:
-    """The meshing: its triangles are those of the speakers' meshes, or of the template's mesh file."""
-    count = _common_size(neutral)
-    if faces:
-        return find_template(directory, next(iter(faces.values())), count, kind)
-    folder = kind if kind in ("biwi", "multiface") else "flame"
-    path = find_template_mesh(directory, folder)
-    if path is None:
-        raise MissingFileError(
-            f"{directory} names no triangles: put the template's mesh (FLAME_sample.ply of the VOCA "
-            "repository, or template.ply) there"
-        )
-    vertices, triangles = read_mesh(path)
-    if len(vertices) != count:
-        raise DatasetError(f"{path} has {len(vertices)} vertices, the neutral faces {count}")
-    return find_template(directory, triangles, count, kind)
-
-
-def _sparse_template() -> Template:
-    """The template of motion that is the landmarks themselves."""
-    rows = np.repeat(np.arange(NUM_LANDMARKS)[:, None], 3, axis=1)
-    weights = np.zeros((NUM_LANDMARKS, 3), dtype=np.float32)
-    weights[:, 0] = 1
-    own = Landmarks(rows, weights, "the motion is the landmarks")
-    return Template("landmarks", np.zeros((0, 3), np.int64), NUM_LANDMARKS, own)
-
-
-def _neutral_faces(places: Iterable[Path]) -> tuple[dict[str, FloatArray], dict[str, Array]]:
-    """Neutral faces by speaker, and the triangles of those that are mesh files, of the first place that has any."""
-    searched = list(places)
-    for place in searched:
-        for path in (place / "templates.pkl", place / "templates"):
-            if path.exists():
-                return read_faces(path)
-    raise MissingTemplateError(
-        f"{searched[0]} has no neutral faces: neither templates.pkl nor templates/SPEAKER.ply"
-    )
-
-
-def _common_size(neutral: dict[str, FloatArray]) -> int:
-    """Vertices of most neutral faces, so that one bad template does not decide."""
-    sizes = [len(points) for points in neutral.values()]
-    return max(set(sizes), key=sizes.count)
-
-
-def _check_labels(directory: Path, stem: str, emotion: str, level: int) -> None:
-    """EmoVOCA's label files say what the name says."""
-    for folder, said, what in (
-        ("label", EMOVOCA_LABELS.index(emotion), emotion), ("intensity", level, "the name"),
-    ):  # fmt: skip
-        path = directory / folder / f"{stem}.npy"
-        if not path.is_file():
-            continue
-        try:
-            found = int(np.load(path, allow_pickle=False))
-        except (ValueError, TypeError, EOFError) as error:
-            raise DatasetError(f"{path} holds no single number: {error}") from error
-        if found != said:
-            raise LabelError(f"{path} says {found}, {what} is {said}")
-
-
-def _labels(path: Path) -> dict[str, dict[str, str]]:
-    columns = ("name", "speaker", "emotion", "intensity", "text", "split")
-    if not path.is_file():
-        return {}
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        reader = csv.DictReader(file)
-        found = list(reader.fieldnames or [])
-        if "name" not in found or not set(found) <= set(columns):
-            raise DatasetError(
-                f"{path} has the columns {', '.join(found)}; expected name and any of "
-                f"{', '.join(columns[1:])}"
-            )
-        return {Path(row["name"]).stem: row for row in reader}
-
-
-def _settings(directory: Path) -> dict[str, Any]:
-    """``dataset.json`` of a folder; empty without the file."""
-    path, known = directory / "dataset.json", {"fps", "unit", "name"}
-    if not path.is_file():
-        return {}
-    try:
-        content = json.loads(path.read_text())
-    except ValueError as error:
-        raise DatasetError(f"{path} is no JSON: {error}") from error
-    if not isinstance(content, dict) or not set(content) <= known:
-        raise DatasetError(f"{path} must map some of {', '.join(sorted(known))}")
-    return content
 
 
 def _motion_folder(directory: Path) -> Path | None:
