@@ -49,6 +49,11 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
         RuntimeError: missing, empty, not a mesh, no faces, indices out of range or NaN vertices; one
             sentence naming the file and what to do.
     """
+    if Path(path).suffix.lower() == ".fbx":
+        raise RuntimeError(
+            f"{os.fspath(path)} is FBX, which is not read: export it as glTF (.glb) from Blender, Maya or 3ds Max, "
+            "or convert it with 'assimp export head.fbx head.glb'"
+        )
     return _native.load_mesh(Path(path))
 
 

@@ -50,7 +50,12 @@ PYTHON_LAYERS: dict[str, int] = {
     "cli": 6,
 }
 # Upward uses that are meant: imported inside a function, only when that function is asked for.
-ON_DEMAND = {("animation", "viz"), ("animation", "page")}  # save("talk.mp4"), save("talk.html")
+ON_DEMAND = {
+    ("animation", "viz"),  # save("talk.mp4")
+    ("animation", "page"),  # save("talk.html")
+    ("talker", "data"),  # landmarks from a file
+    ("talker", "faces"),  # the face of a mesh whose shape leaves it in doubt
+}
 
 HEADER_LINES, SOURCE_LINES = 150, 400
 INCLUDE = re.compile(r'^\s*#\s*include\s*[<"]([^>"]+)[>"]', re.MULTILINE)

@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 from freetalk.cli.app import describe
 from freetalk.cli.motion_options import diffusion_options
-from freetalk.cli.outputs import AUDIO_SUFFIXES, MESH_SUFFIXES, Output, inputs, parse_outputs
+from freetalk.cli.outputs import (
+    AUDIO_SUFFIXES,
+    MESH_SUFFIXES,
+    Output,
+    check_readable,
+    inputs,
+    parse_outputs,
+)
 from freetalk.cli.weights import check_intensity, find_weights
 
 if TYPE_CHECKING:
@@ -133,7 +140,8 @@ def prepare(
 
     mesh = freetalk.load_mesh(file) if file is not None else built_in_face()
     pose = {name: getattr(arguments, name) for name in ("unit", "up", "forward", "precision")}
-    face = talker().prepare(mesh, **pose, progress=not report.quiet)
+    landmarks = arguments.landmarks and check_readable(arguments.landmarks, "landmarks")
+    face = talker().prepare(mesh, landmarks=landmarks, **pose, progress=not report.quiet)
     name = file.name if file is not None else "the built-in mean face"
     found = face.report
     report.line(

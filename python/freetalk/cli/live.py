@@ -43,10 +43,13 @@ def run(arguments: argparse.Namespace) -> None:
     report = Report(quiet=False)
     mesh = freetalk.load_mesh(mesh_file) if mesh_file is not None else built_in_face()
     pose = {name: getattr(arguments, name) for name in ("unit", "up", "forward", "precision")}
-    face = freetalk.Talker.from_pretrained(weights).prepare(mesh, **pose)
+    landmarks = arguments.landmarks and check_readable(arguments.landmarks, "landmarks")
+    face = freetalk.Talker.from_pretrained(weights).prepare(mesh, landmarks=landmarks, **pose)
     for notice in face.report.notices:
         report.line("note", notice, timed=False)
-    report.line("prepared", f"{len(mesh.vertices)} vertices; {face.report.parts}")
+    found = face.report
+    text = f"{len(mesh.vertices)} vertices; {found.alignment.summary}; {found.parts}"
+    report.line("prepared", text)
     try:
         play(face, blocks, arguments, report, senders)
     except KeyboardInterrupt:

@@ -111,6 +111,13 @@ def _group(commands: Any, name: str, help_text: str, required: bool = True) -> t
     return parser, nested
 
 
+def _add_where(parser: Parser) -> None:
+    from freetalk.cli.mesh_options import add_where
+
+    _add_pose(parser)
+    add_where(parser)
+
+
 def _add_pose(parser: Parser) -> None:
     parser.add_argument("--unit", choices=UNITS, default="auto", help="length unit of the mesh")
     parser.add_argument("--up", choices=AXES, default="auto", help="axis to the top of the head")
@@ -153,7 +160,7 @@ def _add_animate(commands: Any) -> None:
     parser.add_argument("--seed", type=seed, default=0, help="another seed, another performance")
     add_diffusion(parser)
     add_decoding(parser)
-    _add_pose(parser)
+    _add_where(parser)
     _add_pretrained(parser)
     add_device(parser)
     out_help = "where to write; repeatable; for folders with {name} in it: 'talks/{name}.glb'"
@@ -193,7 +200,7 @@ def _add_live(commands: Any) -> None:
     parser.add_argument(
         "--precision", choices=precisions, default="float32", help="of the networks"
     )
-    _add_pose(parser)
+    _add_where(parser)
     _add_pretrained(parser)
 
 

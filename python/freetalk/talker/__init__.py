@@ -4,28 +4,31 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
-import torch
+import numpy as np
 
 from freetalk import _native
 from freetalk._pretrained import PRETRAINED, find_weights
 from freetalk._progress import Progress, StageProgress
 from freetalk.animation import Animation
 from freetalk.ats import Emotion, emotion_text
-from freetalk.audio import Audio, load_audio
+from freetalk.audio import Audio
 from freetalk.geometry import Alignment, AlignOptions
 from freetalk.mesh import Mesh, load_mesh
-from freetalk.rig import FaceRig
 from freetalk.speech.voice_emotion import Keyframe
+from freetalk.talker.face import PERFORMANCE, Face, as_audio
 from freetalk.talker.live import Live, LiveFrame
+from freetalk.talker.placement import Placement
+from freetalk.talker.report import Report
+from freetalk.talker.where import Landmarks, find_face, place
 from freetalk.talker.voice import Voice
 
 AnimateOptions = _native.talker.AnimateOptions
 FaceOptions = _native.talker.FaceOptions
 LiveOptions = _native.talker.LiveOptions
 TalkerOptions = _native.talker.TalkerOptions
-Report = _native.talker.Report
 
 __all__ = [
     "PRETRAINED",
@@ -41,7 +44,11 @@ __all__ = [
 ]
 
 _PREPARATION = {"align": 0.25, "parts": 0.05, "operators": 0.6, "features": 0.1}
-_PERFORMANCE = {"speech": 0.15, "motion": 0.45, "surface": 0.4}
+#: A mesh of more vertices is aligned before anything is computed of it: it may be a whole character.
+_LARGE = 30_000
+#: No head is longer than this (m): it has shoulders, or it is a body.
+_LARGEST_HEAD_M = 0.6
+_TOLD = ("unit", "up", "forward")
 
 
 class Talker:
@@ -102,7 +109,7 @@ class Talker:
             ValueError: the weights have no ``voice_emotion.json``.
             RuntimeError: the file cannot be read.
         """
-        return self._voice.read(_audio(audio))
+        return self._voice.read(as_audio(audio))
 
     def align(
         self,
@@ -120,13 +127,20 @@ class Talker:
         self,
         mesh: Mesh | str | os.PathLike[str],
         *,
+        landmarks: Landmarks | None = None,
         progress: bool | Progress | None = True,
         **options: Any,
     ) -> Face:
         """Computes everything that depends on the mesh alone, once.
 
+        The mesh's shape tells where its face is. Where it leaves that in doubt (a whole character, a head that is
+        no human's, one that lies askew) and the extra ``faces`` is installed, pictures of the mesh are looked at;
+        then only what is near the face moves.
+
         Args:
-            mesh: face or head, or the path of an OBJ, PLY, OFF, STL or glTF file.
+            mesh: face, head or character, or the path of an OBJ, PLY, OFF, STL or glTF file.
+            landmarks: where the face is, which wins over any guess: 68 vertices (iBUG order), 68 points (68, 3) in
+                the mesh's own unit and axes, or a file as ``freetalk mesh landmarks`` writes it.
             progress: a progress bar on a terminal, nothing, or a callback (done, total); whatever the callback
                 raises ends the work.
             options: fields of ``FaceOptions``: unit, up, forward, precision, memory_mb and cache_dir ("auto", the
@@ -136,13 +150,35 @@ class Talker:
             A face, for any number of clips, seeds and threads.
 
         Raises:
-            ValueError: option out of range, or a surface without area.
+            ValueError: option out of range, a surface without area, or nothing on it looks like a face (unless
+                landmarks, or unit, up and forward say where it is).
             RuntimeError: a file cannot be read.
         """
         wanted = FaceOptions(**_with_cache(options))
         with StageProgress(progress, _PREPARATION) as bar:
-            native = self._native.prepare(_mesh(mesh), options=wanted, progress=bar.update)
+            return self._prepare(_mesh(mesh), wanted, landmarks, bar)
+
+    def _prepare(
+        self, mesh: Mesh, options: FaceOptions, landmarks: Landmarks | None, bar: StageProgress
+    ) -> Face:
+        told = all(getattr(options, name) != "auto" for name in _TOLD)
+        if landmarks is not None:
+            return self._prepare_head(place(mesh, landmarks), options, bar)
+        if len(mesh.vertices) > _LARGE and not told:
+            found = self.align(mesh, **{name: getattr(options, name) for name in _TOLD})
+            if _doubtful(mesh, found):
+                return self._prepare_head(find_face(mesh, found), options, bar)
+        native = self._native.prepare(mesh, options=options, progress=bar.update)
+        if told or not _doubtful(mesh, native.report.alignment):
             return Face(native, self._voice)
+        return self._prepare_head(find_face(mesh, native.report.alignment), options, bar)
+
+    def _prepare_head(self, placement: Placement, options: FaceOptions, bar: StageProgress) -> Face:
+        upright = FaceOptions.from_dict(
+            options.to_dict() | {"unit": "m", "up": "+y", "forward": "+z"}
+        )
+        native = self._native.prepare(placement.head(), options=upright, progress=bar.update)
+        return Face(native, self._voice, placement)
 
     def animate(
         self,
@@ -150,6 +186,7 @@ class Talker:
         mesh: Mesh | str | os.PathLike[str],
         *,
         emotion: Emotion = "neutral",
+        landmarks: Landmarks | None = None,
         progress: bool | Progress | None = True,
         **options: Any,
     ) -> Animation:
@@ -161,6 +198,7 @@ class Talker:
             emotion: a name ``"happy"``; a mixture ``{"happy": 0.7, "surprise": 0.3}``; or keyframes
                 ``[(0.0, "neutral", 1), (2.5, {"happy": 0.7, "surprise": 0.3}, 2.5)]`` of seconds,
                 mixture and intensity, linear in between; or ``"auto"``: what the voice sounds like.
+            landmarks: as for :meth:`prepare`.
             progress: as for :meth:`prepare`.
             options: further fields of ``TalkerOptions``: intensity, fps, seed, sampler ("ddim", "ddpm",
                 "dpmpp"), num_steps, eta, audio_guidance, affect_guidance, mouth_temperature, blinks, tolerance_mm,
@@ -173,12 +211,13 @@ class Talker:
             ValueError: unknown emotion (the message lists the known), option out of range, empty input.
             RuntimeError: a file cannot be read.
         """
-        sound, surface = _audio(audio), _mesh(mesh)
-        shown = emotion_text(self._voice.resolved(emotion, sound))
-        wanted = TalkerOptions(emotion=shown, **_with_cache(options))
-        with StageProgress(progress, _PREPARATION, _PERFORMANCE) as bar:
-            native, self._report = self._native.animate(sound, surface, wanted, bar.update)
-        return Animation._wrap(native)
+        sound, surface = as_audio(audio), _mesh(mesh)
+        prepared, chosen = _options(self._voice.resolved(emotion, sound), options)
+        with StageProgress(progress, _PREPARATION, PERFORMANCE) as bar:
+            face = self._prepare(surface, prepared, landmarks, bar)
+            animation, report = face.perform(sound, chosen, bar)
+        self._report = _joined(face.report, report)
+        return animation
 
     def animate_many(
         self,
@@ -187,6 +226,7 @@ class Talker:
         *,
         seeds: Sequence[int],
         emotion: Emotion = "neutral",
+        landmarks: Landmarks | None = None,
         progress: bool | Progress | None = True,
         **options: Any,
     ) -> list[Animation]:
@@ -197,6 +237,7 @@ class Talker:
             mesh: as for :meth:`animate`.
             seeds: one a performance.
             emotion: as for :meth:`animate`.
+            landmarks: as for :meth:`prepare`.
             progress: as for :meth:`animate`.
             options: as for :meth:`animate`.
 
@@ -208,14 +249,13 @@ class Talker:
             ValueError: as :meth:`animate`, or no seeds.
             RuntimeError: a file cannot be read.
         """
-        sound, surface = _audio(audio), _mesh(mesh)
-        shown = emotion_text(self._voice.resolved(emotion, sound))
-        wanted = TalkerOptions(emotion=shown, **_with_cache(options))
-        with StageProgress(progress, _PREPARATION, _PERFORMANCE) as bar:
-            natives, self._report = self._native.animate_many(
-                sound, surface, seeds=list(seeds), options=wanted, progress=bar.update
-            )
-        return [Animation._wrap(native) for native in natives]
+        sound, surface = as_audio(audio), _mesh(mesh)
+        prepared, chosen = _options(self._voice.resolved(emotion, sound), options)
+        with StageProgress(progress, _PREPARATION, PERFORMANCE) as bar:
+            face = self._prepare(surface, prepared, landmarks, bar)
+            animations, report = face.perform_many(sound, list(seeds), chosen, bar)
+        self._report = _joined(face.report, report)
+        return animations
 
     def live(self, face: Face, *, emotion: Emotion = "neutral", **options: Any) -> Live:
         """:meth:`Face.live`, on a face that this talker prepared.
@@ -224,158 +264,36 @@ class Talker:
             ValueError: as :meth:`Face.live`, or a face of other weights.
         """
         wanted = LiveOptions(emotion=emotion_text(emotion), **options)
-        return Live(self._native.live(face._native, wanted))
-
-
-class Face:
-    """A mesh made ready to speak by :meth:`Talker.prepare`; any number of threads may share it."""
-
-    def __init__(self, native: Any, voice: Voice) -> None:
-        self._native = native
-        self._voice = voice
-
-    @property
-    def mesh(self) -> Mesh:
-        """The mesh as it was given."""
-        return self._native.mesh
-
-    @property
-    def options(self) -> FaceOptions:
-        """How it was prepared."""
-        return self._native.options
-
-    @property
-    def report(self) -> Report:
-        """Alignment, parts, notices and timings of the preparation."""
-        return self._native.report
-
-    def num_frames(self, audio: Audio | str | os.PathLike[str], fps: float = 30.0) -> int:
-        """Frames of an animation of this sound."""
-        return self._native.num_frames(_audio(audio), fps)
-
-    def animate(
-        self,
-        audio: Audio | str | os.PathLike[str],
-        *,
-        emotion: Emotion = "neutral",
-        out: torch.Tensor | None = None,
-        progress: bool | Progress | None = True,
-        **options: Any,
-    ) -> Animation:
-        """One performance.
-
-        Args:
-            audio: speech, or the path of a recording.
-            emotion: as for :meth:`Talker.animate`.
-            out: (T, V, 3) contiguous float32 tensor on the CPU to fill, T as :meth:`num_frames` says; it becomes the
-                animation's displacements.
-            progress: as for :meth:`Talker.prepare`.
-            options: fields of ``AnimateOptions``, see :meth:`Talker.animate`.
-
-        Returns:
-            T frames in the mesh's own unit, axes and vertex order; its metadata holds what was found.
-
-        Raises:
-            ValueError: unknown emotion, option out of range, empty input, ``out`` of another form.
-            RuntimeError: a file cannot be read.
-        """
-        return self.animate_with_report(
-            audio, emotion=emotion, out=out, progress=progress, **options
-        )[0]
-
-    def animate_with_report(
-        self,
-        audio: Audio | str | os.PathLike[str],
-        *,
-        emotion: Emotion = "neutral",
-        out: torch.Tensor | None = None,
-        progress: bool | Progress | None = True,
-        **options: Any,
-    ) -> tuple[Animation, Report]:
-        """As :meth:`animate`, with notices, decoded frames and timings beside."""
-        sound = _audio(audio)
-        shown = emotion_text(self._voice.resolved(emotion, sound))
-        wanted = AnimateOptions(emotion=shown, **options)
-        with StageProgress(progress, _PERFORMANCE) as bar:
-            native, report = self._native.animate(
-                sound, options=wanted, progress=bar.update, out=out
-            )
-        return Animation._wrap(native), report
-
-    def animate_many(
-        self,
-        audio: Audio | str | os.PathLike[str],
-        *,
-        seeds: Sequence[int],
-        emotion: Emotion = "neutral",
-        out: torch.Tensor | None = None,
-        progress: bool | Progress | None = True,
-        **options: Any,
-    ) -> list[Animation]:
-        """Several performances of one speech, their motion sampled together.
-
-        Args:
-            audio: as for :meth:`animate`.
-            seeds: one a performance.
-            emotion: as for :meth:`animate`.
-            out: (seeds, T, V, 3), else as for :meth:`animate`.
-            progress: as for :meth:`animate`.
-            options: as for :meth:`animate`.
-
-        Returns:
-            One animation a seed: the motion is that of :meth:`animate` up to rounding, and every frame within
-            ``tolerance_mm`` of decoding it.
-
-        Raises:
-            ValueError: as :meth:`animate`, or no seeds.
-            RuntimeError: a file cannot be read.
-        """
-        sound = _audio(audio)
-        shown = emotion_text(self._voice.resolved(emotion, sound))
-        wanted = AnimateOptions(emotion=shown, **options)
-        with StageProgress(progress, _PERFORMANCE) as bar:
-            natives, _ = self._native.animate_many(
-                sound, seeds=list(seeds), options=wanted, progress=bar.update, out=out
-            )
-        return [Animation._wrap(native) for native in natives]
-
-    def rig(self, *, progress: bool | Progress | None = None) -> FaceRig:
-        """The skin as named blend shapes, made when it is first asked for (seconds), then shared.
-
-        Args:
-            progress: True: a bar on a terminal; or a callback (done, total).
-
-        Returns:
-            The rig, in metres and the canonical frame; kept in the cache folder for the next time.
-
-        Raises:
-            RuntimeError: the weights hold no poses to make it of (``rig_poses.safetensors``).
-        """
-        with StageProgress(progress, {"rig": 1.0}) as bar:
-            return FaceRig(self._native.rig(bar.update))
-
-    def live(self, *, emotion: Emotion = "neutral", **options: Any) -> Live:
-        """A stream: speech in as it is spoken, frames out about half a second later.
-
-        Args:
-            emotion: as for :meth:`Talker.animate`; keyframes count from the stream's start.
-            options: fields of ``LiveOptions``: intensity, seed, hop_s, lookahead_s, sampler, num_steps ...
-
-        Raises:
-            ValueError: unknown emotion, option out of range.
-        """
-        wanted = LiveOptions(emotion=emotion_text(emotion), **options)
-        return Live(_native.talker.Live(self._native, wanted))
+        return Live(self._native.live(face._native, wanted), face._placement)
 
 
 def _mesh(mesh: Mesh | str | os.PathLike[str]) -> Mesh:
     return mesh if isinstance(mesh, Mesh) else load_mesh(mesh)
 
 
-def _audio(audio: Audio | str | os.PathLike[str]) -> Audio:
-    return audio if isinstance(audio, Audio) else load_audio(audio)
-
-
 def _with_cache(options: dict[str, Any]) -> dict[str, Any]:
     """Python keeps what is computed of a mesh in the user's cache folder unless told otherwise."""
     return {"cache_dir": "auto"} | options
+
+
+def _options(emotion: Emotion, options: dict[str, Any]) -> tuple[FaceOptions, AnimateOptions]:
+    """What concerns the mesh and what the performance; a ValueError names what neither knows."""
+    wanted = TalkerOptions(emotion=emotion_text(emotion), **_with_cache(options)).to_dict()
+    mine = FaceOptions().to_dict()
+    return (
+        FaceOptions.from_dict({name: value for name, value in wanted.items() if name in mine}),
+        AnimateOptions.from_dict(
+            {name: value for name, value in wanted.items() if name not in mine}
+        ),
+    )
+
+
+def _joined(prepared: Report, performed: Report) -> Report:
+    return replace(performed, timings=prepared.timings | performed.timings)
+
+
+def _doubtful(mesh: Mesh, found: Alignment) -> bool:
+    """Whether an alignment by shape alone may be wrong: no human face's shape, or a body's size."""
+    vertices = np.asarray(mesh.vertices)[np.unique(np.asarray(mesh.faces))]
+    longest = float(np.ptp(vertices, axis=0).max()) * found.to_canonical.scale
+    return not found.face_like or longest > _LARGEST_HEAD_M

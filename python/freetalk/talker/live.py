@@ -9,6 +9,7 @@ import torch
 
 from freetalk import _native
 from freetalk.ats import Emotion, emotion_text
+from freetalk.talker.placement import Placement
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -22,8 +23,9 @@ class Live:
     Frames are the same however the samples are divided over the calls: to the bit on the CPU, up to rounding on a GPU.
     """
 
-    def __init__(self, native: Any) -> None:
+    def __init__(self, native: Any, placement: Placement | None = None) -> None:
         self._native = native
+        self._placement = placement
 
     def push(self, samples: ArrayLike) -> list[LiveFrame]:
         """Frames that are final with further samples.
@@ -55,7 +57,10 @@ class Live:
 
     def decode(self, frame: LiveFrame) -> torch.Tensor:
         """(V, 3) float32 vertices of a frame, in the mesh's own unit and axes."""
-        return self._native.decode(frame)
+        vertices: torch.Tensor = self._native.decode(frame)
+        if self._placement is None:
+            return vertices
+        return self._placement.move(vertices)
 
     @property
     def latency_s(self) -> float:
