@@ -39,6 +39,7 @@ KERNEL_CALLERS = {"geometry", "nn", "speech"}
 PYTHON_LAYERS: dict[str, int] = {
     "viz": 1,
     "data": 1,
+    "prepare": 1,
     "corpus": 2,
     "page": 3,
     "faces": 3,

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from freetalk.cli.outputs import check_readable
+from freetalk.cli.outputs import check_readable, check_writable
 from freetalk.cli.weights import find_weights
 
 
@@ -33,6 +34,33 @@ def check(arguments: argparse.Namespace) -> None:
     if report.zero_area_triangles < report.triangles:
         alignment = align(arguments, np.asarray(mesh.vertices), np.asarray(mesh.faces))
         print(f"  pose: {alignment.summary}")
+
+
+def prepare(arguments: argparse.Namespace) -> None:
+    """Repairs a mesh file, says what was done and writes it."""
+    file = check_readable(arguments.file, "a mesh (OBJ, PLY, OFF, STL or glTF)")
+    outputs = [Path(path) for path in (arguments.out, arguments.map) if path is not None]
+    for path in outputs:
+        check_writable(path)
+    import freetalk
+    from freetalk._files import replacing
+    from freetalk.prepare import prepare_mesh
+
+    prepared = prepare_mesh(
+        freetalk.load_mesh(file),
+        duplicates=not arguments.keep_duplicates,
+        floating=arguments.floating,
+        winding=not arguments.keep_winding,
+        holes=arguments.holes,
+    )
+    for step in prepared.steps or ["nothing to repair"]:
+        print(f"  {step}")
+    freetalk.mesh.save_mesh(arguments.out, prepared.mesh)
+    print(f"wrote {arguments.out}: {len(prepared.mesh.vertices)} vertices")
+    if arguments.map is not None:
+        with replacing(Path(arguments.map)) as temporary, temporary.open("wb") as stream:
+            np.save(stream, prepared.vertex_map)
+        print(f"wrote {arguments.map}")
 
 
 def align(arguments: argparse.Namespace, vertices: Any, faces: Any) -> Any:

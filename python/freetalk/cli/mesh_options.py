@@ -34,6 +34,33 @@ def add_landmarks(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_prepare(parser: argparse.ArgumentParser) -> None:
+    """Adds those of ``freetalk mesh prepare``."""
+    parser.description = (
+        "Repairs a scan before it speaks and says what was done: duplicate polygons and floating bits go, "
+        "polygons are turned outward, holes of a chosen size are closed. Texture coordinates are kept."
+    )
+    parser.add_argument("file", metavar="FILE", help="OBJ, PLY, OFF, STL or glTF")
+    parser.add_argument("--out", required=True, metavar="FILE", help="OBJ or PLY to write")
+    parser.add_argument("--map", metavar="NPY", help="also write the new vertex of each old one")
+    parser.add_argument(
+        "--floating",
+        type=float,
+        default=0.002,
+        metavar="SHARE",
+        help="drop parts with less than this share of the polygons; 0 keeps all",
+    )
+    parser.add_argument(
+        "--holes",
+        type=int,
+        default=0,
+        metavar="N",
+        help="close holes of at most N edges (eyes, mouth and neck are holes too)",
+    )
+    for name, what in (("duplicates", "duplicate polygons"), ("winding", "the winding")):
+        parser.add_argument(f"--keep-{name}", action="store_true", help=f"leave {what} alone")
+
+
 def add_where(parser: argparse.ArgumentParser) -> None:
     """Adds what tells where the face of a mesh is."""
     parser.add_argument(

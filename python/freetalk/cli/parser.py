@@ -299,7 +299,7 @@ def _add_data(commands: Any) -> None:
 
 
 def _add_mesh(commands: Any) -> None:
-    from freetalk.cli.mesh_options import add_landmarks
+    from freetalk.cli.mesh_options import add_landmarks, add_prepare
 
     _, nested = _group(commands, "mesh", "look into mesh files, find faces on them")
     parser = _command(nested, "check", "mesh:check", "report counts, size, unit and pose of a mesh")
@@ -310,6 +310,7 @@ def _add_mesh(commands: Any) -> None:
     add_landmarks(parser)
     _add_pose(parser)
     _add_pretrained(parser)
+    add_prepare(_command(nested, "prepare", "mesh:prepare", "repair a scan before it speaks"))
 
 
 def _add_speech(commands: Any) -> None:

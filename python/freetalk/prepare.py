@@ -1,0 +1,206 @@
+"""Repairs of a scan before it speaks: duplicates, floating bits, winding, small holes; each optional and reported."""
+
+from __future__ import annotations
+
+from collections import defaultdict, deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from freetalk.mesh import Mesh, connected_components
+
+#: A part with less than this share of the polygons floats beside the face by mistake.
+FLOATING = 0.002
+
+Polygon = list[int]
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A repaired mesh.
+
+    Attributes:
+        mesh: with the vertices that are left in their order, those of closed holes last.
+        vertex_map: (V,) the new vertex of each old one, -1 where it is gone.
+        steps: one line for each repair that changed something.
+    """
+
+    mesh: Mesh
+    vertex_map: NDArray[np.int64]
+    steps: list[str]
+
+
+def prepare_mesh(
+    mesh: Mesh,
+    *,
+    duplicates: bool = True,
+    floating: float = FLOATING,
+    winding: bool = True,
+    holes: int = 0,
+) -> Prepared:
+    """Repairs a mesh; texture coordinates are kept.
+
+    Args:
+        mesh: any polygons.
+        duplicates: drop polygons with the vertices of an earlier one, and those with fewer than three corners.
+        floating: drop parts with less than this share of the polygons; 0 keeps all.
+        winding: turn polygons so that neighbours agree and every part faces outward.
+        holes: close holes of at most this many edges; 0 closes none. Eyes, mouth and neck are holes too.
+
+    Raises:
+        ValueError: an option is out of range, or nothing would be left.
+    """
+    if not 0 <= floating < 1 or holes < 0:
+        raise ValueError(
+            f"floating must be in [0, 1) and holes 0 or more, found {floating} and {holes}"
+        )
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    polygons: list[Polygon] = [list(p) for p in mesh.polygons or np.asarray(mesh.faces).tolist()]
+    corners: list[Polygon] = [list(p) for p in mesh.polygon_texcoords] or [[] for _ in polygons]
+    place = _places(vertices)
+    steps: list[str] = []
+    if duplicates:
+        kept = _single(polygons)
+        steps += _said(len(polygons) - len(kept), "duplicate or collapsed polygons dropped")
+        polygons, corners = [polygons[k] for k in kept], [corners[k] for k in kept]
+    if floating > 0:
+        part = _parts(polygons, place)
+        share = np.bincount(part) / max(1, len(part))
+        kept = [k for k, number in enumerate(part) if share[number] >= floating]
+        gone = int((share[np.unique(part)] < floating).sum())
+        steps += _said(gone, f"floating parts dropped ({len(polygons) - len(kept)} polygons)")
+        polygons, corners = [polygons[k] for k in kept], [corners[k] for k in kept]
+    if not polygons:
+        raise ValueError(f"{mesh.name}: no polygon is left; allow smaller parts")
+    if winding:
+        turned = _to_turn(vertices, polygons, place)
+        for k in np.flatnonzero(turned):
+            polygons[k].reverse()
+            corners[k].reverse()
+        steps += _said(int(turned.sum()), "polygons turned outward")
+    added = np.zeros((0, 3))
+    if holes > 0:
+        loops = [loop for loop in _rims(polygons, place) if len(loop) <= holes]
+        added = np.array([vertices[loop].mean(axis=0) for loop in loops]).reshape(-1, 3)
+        for number, loop in enumerate(loops):
+            center = len(vertices) + number
+            fan = [[b, a, center] for a, b in zip(loop, loop[1:] + loop[:1])]
+            polygons += fan
+            corners += [[] for _ in fan]
+        steps += _said(len(loops), "holes closed")
+    used = np.zeros(len(vertices) + len(added), dtype=bool)
+    used[np.concatenate([np.asarray(polygon) for polygon in polygons])] = True
+    steps += _said(int((~used[: len(vertices)]).sum()), "vertices without a polygon dropped")
+    new = np.where(used, np.cumsum(used) - 1, -1)
+    repaired = Mesh(
+        np.concatenate([vertices, added])[used],
+        [new[polygon].tolist() for polygon in polygons],
+        texcoords=mesh.texcoords,
+        polygon_texcoords=corners if len(mesh.texcoords) else [],
+        name=mesh.name,
+    )
+    return Prepared(repaired, new[: len(vertices)].astype(np.int64), steps)
+
+
+def _said(count: int, what: str) -> list[str]:
+    return [f"{count} {what}"] if count else []
+
+
+def _places(vertices: NDArray[np.float64]) -> NDArray[np.int64]:
+    """(V,) a number for each position, so that vertices doubled along seams are one."""
+    return np.unique(vertices, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
+
+
+def _single(polygons: list[Polygon]) -> list[int]:
+    """Polygons of three corners and more whose vertices no earlier one has."""
+    seen: set[tuple[int, ...]] = set()
+    kept = []
+    for k, polygon in enumerate(polygons):
+        key = tuple(sorted(set(polygon)))
+        if len(key) >= 3 and key not in seen:
+            seen.add(key)
+            kept.append(k)
+    return kept
+
+
+def _parts(polygons: list[Polygon], place: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(P,) the connected part of each polygon."""
+    fans = [(p[0], p[k], p[k + 1]) for p in polygons for k in range(1, len(p) - 1)]
+    labels = connected_components(int(place.max()) + 1, place[np.asarray(fans)].astype(np.int32))
+    return np.asarray(labels)[[place[polygon[0]] for polygon in polygons]].astype(np.int64)
+
+
+def _directed(polygon: Polygon, place: NDArray[np.int64]) -> list[tuple[int, int]]:
+    at = [int(place[vertex]) for vertex in polygon]
+    return [(a, b) for a, b in zip(at, at[1:] + at[:1]) if a != b]
+
+
+def _to_turn(
+    vertices: NDArray[np.float64], polygons: list[Polygon], place: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """(P,) the polygons to turn around."""
+    around: dict[tuple[int, int], list[tuple[int, bool]]] = defaultdict(list)
+    for k, polygon in enumerate(polygons):
+        for a, b in _directed(polygon, place):
+            around[min(a, b), max(a, b)].append((k, a < b))
+    neighbours: list[list[tuple[int, bool]]] = [[] for _ in polygons]
+    for sides in around.values():
+        if len(sides) == 2:
+            (first, one), (second, other) = sides
+            neighbours[first].append((second, one == other))
+            neighbours[second].append((first, one == other))
+    turn = np.zeros(len(polygons), dtype=bool)
+    seen = np.zeros(len(polygons), dtype=bool)
+    for start in range(len(polygons)):
+        if seen[start]:
+            continue
+        seen[start] = True
+        part, queue = [start], deque([start])
+        while queue:
+            current = queue.popleft()
+            for other, opposed in neighbours[current]:
+                if not seen[other]:
+                    seen[other] = True
+                    turn[other] = turn[current] ^ opposed
+                    part.append(other)
+                    queue.append(other)
+        if _volume(vertices, [polygons[k] for k in part], turn[part]) < 0:
+            turn[part] = ~turn[part]
+    return turn
+
+
+def _volume(
+    vertices: NDArray[np.float64], polygons: list[Polygon], turn: NDArray[np.bool_]
+) -> float:
+    """Six times the volume that polygons enclose seen from their middle; negative if they face inward."""
+    fans = np.array([(p[0], p[k], p[k + 1]) for p in polygons for k in range(1, len(p) - 1)])
+    sign = np.repeat(np.where(turn, -1.0, 1.0), [len(p) - 2 for p in polygons])
+    a, b, c = (vertices[fans] - vertices[np.unique(fans)].mean(axis=0)).transpose(1, 0, 2)
+    return float((sign * np.einsum("fd,fd->f", a, np.cross(b, c))).sum())
+
+
+def _rims(polygons: list[Polygon], place: NDArray[np.int64]) -> list[Polygon]:
+    """Simple loops of boundary edges, as vertices in the direction of their polygons."""
+    count: dict[tuple[int, int], int] = defaultdict(int)
+    vertex_at: dict[int, int] = {}
+    for polygon in polygons:
+        vertex_at |= {int(place[vertex]): vertex for vertex in polygon}
+        for a, b in _directed(polygon, place):
+            count[min(a, b), max(a, b)] += 1
+    onward: dict[int, list[int]] = defaultdict(list)
+    for polygon in polygons:
+        for a, b in _directed(polygon, place):
+            if count[min(a, b), max(a, b)] == 1:
+                onward[a].append(b)
+    loops, done = [], set()
+    for start in onward:
+        loop, at = [start], start
+        while at not in done and len(onward[at]) == 1 and len(loop) <= len(onward):
+            done.add(at)
+            at = onward[at][0]
+            if at == start:
+                loops.append([vertex_at[place_] for place_ in loop])
+                break
+            loop.append(at)
+    return loops
