@@ -64,9 +64,9 @@ def prepare_mesh(
         kept = _single(polygons)
         steps += _said(len(polygons) - len(kept), "duplicate or collapsed polygons dropped")
         polygons, corners = [polygons[k] for k in kept], [corners[k] for k in kept]
-    if floating > 0:
+    if floating > 0 and polygons:
         part = _parts(polygons, place)
-        share = np.bincount(part) / max(1, len(part))
+        share = np.bincount(part) / len(part)
         kept = [k for k, number in enumerate(part) if share[number] >= floating]
         gone = int((share[np.unique(part)] < floating).sum())
         steps += _said(gone, f"floating parts dropped ({len(polygons) - len(kept)} polygons)")
