@@ -22,8 +22,8 @@ from freetalk.talker.face import PERFORMANCE, Face, as_audio
 from freetalk.talker.live import Live, LiveFrame
 from freetalk.talker.placement import Placement
 from freetalk.talker.report import Report
-from freetalk.talker.where import Landmarks, find_face, place
 from freetalk.talker.voice import Voice
+from freetalk.talker.where import Landmarks, find_face, place
 
 AnimateOptions = _native.talker.AnimateOptions
 FaceOptions = _native.talker.FaceOptions

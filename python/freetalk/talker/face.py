@@ -140,7 +140,8 @@ class Face:
             options: as for :meth:`animate`.
 
         Returns:
-            One animation a seed, equal to that of :meth:`animate` up to rounding.
+            One animation a seed: the motion is that of :meth:`animate` up to rounding, and every frame within
+            ``tolerance_mm`` of decoding it.
 
         Raises:
             ValueError: as :meth:`animate`, or no seeds.
