@@ -147,9 +147,9 @@ def _to_turn(
     neighbours: list[list[tuple[int, bool]]] = [[] for _ in polygons]
     for sides in around.values():
         if len(sides) == 2:
-            (first, one), (second, other) = sides
-            neighbours[first].append((second, one == other))
-            neighbours[second].append((first, one == other))
+            (first, up), (second, down) = sides
+            neighbours[first].append((second, up == down))
+            neighbours[second].append((first, up == down))
     turn = np.zeros(len(polygons), dtype=bool)
     seen = np.zeros(len(polygons), dtype=bool)
     for start in range(len(polygons)):
