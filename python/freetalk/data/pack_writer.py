@@ -279,8 +279,8 @@ class PackWriter:
         self._lock.close()
 
     def _close(self) -> None:
-        arrays = [array.file for array in self._files.values()]
-        for file in (*arrays, self._journal, self._lock):
+        files: list[IO[Any]] = [array.file for array in self._files.values()]
+        for file in [*files, self._journal, self._lock]:
             with contextlib.suppress(OSError):  # a full disk has no room for what is buffered
                 file.close()
 
