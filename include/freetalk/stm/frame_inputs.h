@@ -10,7 +10,7 @@ namespace freetalk::stm {
 ///   hidden_t = MeshFeatures.hidden + offset_t + W [softmax(q_h k_th^T) v_th of all heads h].
 struct FrameInputs {
   at::Tensor offsets;  // (T, C), undefined for none
-  at::Tensor keys;  // (T, heads, 68, d_head) divided by sqrt(d_head); undefined without attention
+  at::Tensor keys;    // (T, heads, 68, d_head) divided by sqrt(d_head); undefined without attention
   at::Tensor values;  // (T, heads, 68, d_head)
 };
 
