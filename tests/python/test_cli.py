@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from freetalk import _native
 from freetalk.cli import main
 from freetalk.cli.app import describe
 from freetalk.cli.outputs import Output, check_writable, parse_output
-from freetalk.cli.parser import make_parser
+from freetalk.cli.parser import UNITS, make_parser
 
 PYTHON = Path(__file__).resolve().parents[2] / "python"
 FACE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
@@ -107,6 +108,10 @@ def test_missing_arguments_and_unknown_commands_are_named(
 def test_help_explains_every_option(capsys: pytest.CaptureFixture[str], command: str) -> None:
     assert main([*command.split(), "--help"]) == 0
     assert "--help" in capsys.readouterr().out
+
+
+def test_units_of_the_command_line_are_the_library_s() -> None:
+    assert set(UNITS) == {"auto", *_native.core.UNITS}
 
 
 def test_help_is_parsed_without_heavy_imports() -> None:

@@ -279,7 +279,9 @@ def test_train_passes_everything_on(
     def run(*arguments: object) -> SimpleNamespace:
         seen.extend(arguments)
         scores = {"loss": 0.25}
-        return SimpleNamespace(status="finished", step=7, scores=scores, directory=tmp_path)
+        return SimpleNamespace(
+            status="finished", step=7, scores=scores, directory=tmp_path, lacking=""
+        )
 
     monkeypatch.setattr(train, "run", run)
     config, out = tmp_path / "c.yaml", tmp_path / "out"

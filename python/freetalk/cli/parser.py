@@ -7,12 +7,11 @@ import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from freetalk import _native
 from freetalk.cli.motion_options import DEFAULT_WEIGHTS, add_decoding, add_device, add_diffusion
 from freetalk.cli.numbers import at_least_one, picture_size, positive, seed
 from freetalk.cli.score_options import add_evaluate, add_predict
 
-UNITS = ("auto", *_native.core.UNITS)
+UNITS = ("auto", "m", "cm", "mm", "in")  # core.UNITS; help is shown without loading the library
 AXES = ("auto", "+x", "-x", "+y", "-y", "+z", "-z")
 _INTENSITY_HELP = (
     "from 1 (slight) to the weights' strongest, 3 of the shipped; by default the middle"
