@@ -15,6 +15,7 @@ from freetalk.corpus import topologies
 from freetalk.corpus.assets import FaceModel, load_face_model
 from freetalk.corpus.plan import DISJOINT, SIZES, SPLITS, Size, all_jobs
 from freetalk.corpus.sequences import FPS, Job, Made, Maker, voice_id
+from freetalk.data.pack import FloatArray
 from freetalk.data.pack_writer import PackWriter
 from freetalk.data.pose import METRES
 
@@ -57,13 +58,20 @@ def build_corpus(
     return out
 
 
-def _make_chunk(jobs: list[Job]) -> list[Made]:
+def _make_chunk(jobs: list[Job]) -> list[tuple[Made, FloatArray]]:
+    """Sequences and their landmarks (T, 68, 3) m."""
     maker = Maker()
-    return [maker.make(job) for job in jobs]
+    basis = maker.model.landmark_basis.reshape(len(maker.model.expression_names), -1)
+    made = [maker.make(job) for job in jobs]
+    return [(one, (one.weights @ basis).reshape(-1, 68, 3)) for one in made]
 
 
-def _made_in_order(jobs: list[Job], writer: PackWriter) -> Iterator[Made]:
-    """Makes the jobs in chunks, each in a fresh process: speech engines keep state, which must not leak."""
+def _made_in_order(jobs: list[Job], writer: PackWriter) -> Iterator[tuple[Made, FloatArray]]:
+    """Makes the jobs in chunks, each in a fresh process: speech engines keep state, which must not leak.
+
+    The pool forks while the caller goes on, so that the caller must not multiply matrices meanwhile: OpenBLAS
+    would wait for ever for threads that it stops before a fork.
+    """
     chunks = [jobs[i : i + CHUNK] for i in range(0, len(jobs), CHUNK)]
     chunks = [chunk for chunk in chunks if not all(writer.knows(job.id) for job in chunk)]
     context = multiprocessing.get_context("fork")
@@ -75,7 +83,7 @@ def _made_in_order(jobs: list[Job], writer: PackWriter) -> Iterator[Made]:
             except multiprocessing.TimeoutError as error:
                 names = f"{chunk[0].id} to {chunk[-1].id}"
                 raise RuntimeError(f"a worker stopped while making {names}: build again") from error
-            yield from (one for one in made if not writer.knows(one.job.id))
+            yield from (one for one in made if not writer.knows(one[0].job.id))
 
 
 def _write(writer: PackWriter, size: str, seed: int, progress: bool) -> None:
@@ -83,9 +91,9 @@ def _write(writer: PackWriter, size: str, seed: int, progress: bool) -> None:
     jobs = all_jobs(plan, seed)
     splits = np.repeat(SPLITS, plan.identities)
     faces = _faces_of(jobs, splits, seed)
-    basis = model.landmark_basis.reshape(len(model.expression_names), -1)
     left = len(jobs) - len(writer.sequences)
-    for made in tqdm(_made_in_order(jobs, writer), "sequences", total=left, disable=not progress):
+    sequences = _made_in_order(jobs, writer)
+    for made, landmarks in tqdm(sequences, "sequences", total=left, disable=not progress):
         job = made.job
         writer.add(
             {
@@ -99,7 +107,7 @@ def _write(writer: PackWriter, size: str, seed: int, progress: bool) -> None:
                 "voice": voice_id(job),
                 "text": job.text,
             },
-            (made.weights @ basis).reshape(-1, 68, 3),
+            landmarks,
             made.weights,
             np.rint(made.audio * _FULL_SCALE).clip(-_FULL_SCALE - 1, _FULL_SCALE).astype(np.int16),
             sound=job.audio or "",
