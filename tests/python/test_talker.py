@@ -201,7 +201,7 @@ def test_aliases_and_mixtures(
 def test_unknown_weights_are_an_error(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no weights 'nothing'"):
         freetalk.Talker.from_pretrained("nothing")
-    with pytest.raises(RuntimeError, match=r"talker\.json"):
+    with pytest.raises(ValueError, match=r"talker\.json"):
         freetalk.Talker.from_pretrained(tmp_path)
 
 
