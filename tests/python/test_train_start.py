@@ -267,7 +267,14 @@ def test_every_line_of_the_readme_takes_a_plain_folder(
     mesh, sound = own / "templates" / "ann.ply", own / "wav" / "ann_0.wav"
     command = ["animate", "--pretrained", str(out), "--audio", str(sound)]
     command += ["--mesh", str(mesh), "--out", str(tmp_path / "talk.glb")]
-    command += ["--unit", "m", "--up", "+y", "--forward", "+z"]  # a toy that no one takes for a face
+    command += [
+        "--unit",
+        "m",
+        "--up",
+        "+y",
+        "--forward",
+        "+z",
+    ]  # a toy that no one takes for a face
     assert main(command) == 0, capsys.readouterr().err
     assert (tmp_path / "talk.glb").stat().st_size > 1000
     words = ["pack_weights.py", *(w for k in TINY for w in (f"--{k}", str(out / k)))]
