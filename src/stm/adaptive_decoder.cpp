@@ -24,7 +24,7 @@ constexpr int64_t kMotionSamples = 512;  // vertices of which the mean motion is
 constexpr double kLength = 2.0;          // of the kernel, in spreads of the clip
 // Frames that are not checked may err more for their doubt than those that are.
 constexpr double kMeanSafety = 1.2, kMaxSafety = 1.4;
-constexpr double kRoundingMean = 0.6, kRoundingMax = 0.8;  // shares of the tolerances, at most
+constexpr double kRoundingShare = 0.6;  // of a tolerance, at most
 
 /// Landmark motion in mm about its mean.
 Points points_of(const at::Tensor& landmarks) {
@@ -74,8 +74,8 @@ class Clip {
       rounding_.mean += error.mean / static_cast<double>(exact.size(0));
       rounding_.largest = std::max(rounding_.largest, error.largest);
     }
-    if (rounding_.mean <= kRoundingMean * options.tolerance_mean * mean_motion() &&
-        1e3 * rounding_.largest <= kRoundingMax * options.tolerance_mm) {
+    if (rounding_.mean <= kRoundingShare * options.tolerance_mean * mean_motion() &&
+        1e3 * rounding_.largest <= kRoundingShare * options.tolerance_mm) {
       return;
     }
     decoder_ = &decoder;
