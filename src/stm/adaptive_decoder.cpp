@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
 #include "geometry/combine_fields.h"
 
@@ -206,8 +207,9 @@ void decode_adaptively(const FrameDecoder& decoder, const at::Tensor& landmarks,
   options.check();
   AdaptiveReport own;
   AdaptiveReport& found = report != nullptr ? *report : own;
-  FREETALK_CHECK(landmarks.dim() == 3 && landmarks.size(1) == 68 && landmarks.size(2) == 3,
-                 "STM: landmarks must be (T, 68, 3), found ", landmarks.sizes());
+  FREETALK_CHECK(
+      landmarks.dim() == 3 && landmarks.size(1) == core::kNumLandmarks && landmarks.size(2) == 3,
+      "STM: landmarks must be (T, 68, 3), found ", landmarks.sizes());
   const int64_t frames = landmarks.size(0);
   const auto step = [&progress](double share) {
     if (progress) progress(share);
@@ -226,6 +228,7 @@ void decode_adaptively(const FrameDecoder& decoder, const at::Tensor& landmarks,
     const auto decoded = static_cast<double>(clip.decoded());
     return 0.9 * decoded / (decoded + 30.0);
   };
+  clip.expect(found);
   step(share());
   for (int checks = 1; clip.check(); ++checks) {
     clip.expect(found);
@@ -235,7 +238,6 @@ void decode_adaptively(const FrameDecoder& decoder, const at::Tensor& landmarks,
       break;
     }
   }
-  clip.expect(found);
   clip.emit([&](int64_t first, const at::Tensor& part) {
     sink(first, part);
     step(0.9 + 0.1 * static_cast<double>(first + part.size(0)) / static_cast<double>(frames));

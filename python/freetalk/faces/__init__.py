@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from freetalk.corpus.linear_face import built_in_face
 from freetalk.faces.detector import INSTALL, available, detector
 from freetalk.faces.landmarks import (
     FoundLandmarks,
-    built_in_face,
     geometric_landmarks,
     home_pose,
     seen_landmarks,

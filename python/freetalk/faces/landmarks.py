@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from freetalk.corpus.assets import EXTENTS, crop_quads, load_face_model, triangulate
+from freetalk.corpus.linear_face import built_in_face
 from freetalk.data.landmark_transfer import (
     Anchors,
     FaceFit,
-    LinearFace,
     fit_face,
     on_surface,
     propose_landmarks,
@@ -61,18 +59,6 @@ class FoundLandmarks:
     fit: FaceFit | None
     pose: Similarity
     summary: str
-
-
-@lru_cache(maxsize=1)
-def built_in_face() -> LinearFace:
-    """The ICT face without neck, as what is fitted."""
-    model, count = load_face_model(), EXTENTS["face"]
-    return LinearFace(
-        model.neutral[:count],
-        triangulate(crop_quads(model, "face")),
-        model.identity_basis[:, :count],
-        model.landmarks68,
-    )
 
 
 def seen_landmarks(

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from freetalk.viz.renderer import Image, off_screen_plotter
+from freetalk.viz.renderer import Image, OffScreen, off_screen_plotter
 
 Points = NDArray[np.float64]
 
@@ -72,7 +71,7 @@ class Shot:
     nearness: Points
 
 
-class SurfaceViews:
+class SurfaceViews(OffScreen):
     """Draws one surface without texture; use it as a context manager.
 
     Args:
@@ -178,21 +177,6 @@ class SurfaceViews:
         """(N, 3) the surface's vertices, mesh unit; of very many, some."""
         points = np.asarray(self.surface.points, dtype=np.float64)
         return points[:: max(1, len(points) // 20000)] * self._reach + self._middle
-
-    def close(self) -> None:
-        """Frees the window."""
-        self.plotter.close()
-
-    def __enter__(self) -> SurfaceViews:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def directions(count: int) -> Points:

@@ -10,8 +10,8 @@ import torch
 from numpy.typing import NDArray
 
 from freetalk._pretrained import PRETRAINED
-from freetalk.corpus.assets import EXTENTS, crop_quads, load_face_model, triangulate
-from freetalk.data.landmark_transfer import LinearFace, propose_landmarks
+from freetalk.corpus.linear_face import built_in_face
+from freetalk.data.landmark_transfer import propose_landmarks
 from freetalk.rig import FaceRig
 from freetalk.viz.sequence import Sequence
 
@@ -26,16 +26,9 @@ def find_landmarks(sequence: Sequence) -> NDArray[np.int64] | None:
     """
     if not sequence.located:
         return None
-    model, count = load_face_model(), EXTENTS["face"]
-    known = LinearFace(
-        model.neutral[:count],
-        triangulate(crop_quads(model, "face")),
-        model.identity_basis[:, :count],
-        model.landmarks68,
-    )
     try:
         proposed = propose_landmarks(
-            sequence.upright(sequence.vertices), sequence.faces.astype(np.int32), known
+            sequence.upright(sequence.vertices), sequence.faces.astype(np.int32), built_in_face()
         )
     except (ValueError, ModuleNotFoundError):  # no face, or no SciPy to look for one with
         return None

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +72,35 @@ class View:
     background: tuple[str, str] = ("#20262e", "#66727f")
 
 
-class FaceRenderer:
+class OffScreen:
+    """Owns an off-screen plotter; as a context manager it frees it.
+
+    Attributes:
+        plotter: The scene.
+    """
+
+    plotter: pyvista.Plotter
+
+    def close(self) -> None:
+        """Frees the window."""
+        self.plotter.close()
+
+    def __enter__(self: _Scene) -> _Scene:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+_Scene = TypeVar("_Scene", bound=OffScreen)
+
+
+class FaceRenderer(OffScreen):
     """Draws frames of one animation; use it as a context manager.
 
     Args:
@@ -174,21 +202,6 @@ class FaceRenderer:
         self.move(points)
         self.plotter.render()
         return np.ascontiguousarray(self.plotter.screenshot(None, return_img=True)[..., :3])
-
-    def close(self) -> None:
-        """Frees the window."""
-        self.plotter.close()
-
-    def __enter__(self) -> FaceRenderer:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def aim_camera(
