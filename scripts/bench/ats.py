@@ -2,9 +2,9 @@
 """Times the sampling of landmark motion against the same network as a plain ``torch.nn.TransformerDecoder``.
 
 Both have the paper's size and the same weights, start from the same noise and are timed in turns within one
-run; medians are printed. The decoder's side projects the speech features once, as anyone would, and leaves
-the rest to PyTorch. Run on an idle machine (on a busy one OMP_WAIT_POLICY=passive makes the ratio of
-processor times tell):
+run; medians are printed, and ratios to the decoder in the same precision. The decoder's side projects the
+speech features once, as anyone would, and leaves the rest to PyTorch. Run on an idle machine (on a busy one
+OMP_WAIT_POLICY=passive makes the ratio of processor times tell):
 
     python scripts/bench/ats.py                 # speed, float32 and bfloat16, and DPM-Solver++
     python scripts/bench/ats.py --part quality  # DPM-Solver++ against 100 DDIM steps, shipped weights
@@ -136,16 +136,19 @@ def speed(frames: int, repetitions: int, steps: int) -> None:
                 busy[name].append(time.process_time() - start_busy)
                 print(f"  {name:<40} {seconds[name][-1]:7.2f} s", flush=True)
     names = list(runs)
-    first, first_busy = (statistics.median(of[names[0]]) for of in (seconds, busy))
+    float_name, bf16_name = names[0], names[2]
     print(f"{frames} frames, {torch.get_num_threads()} threads, median of {repetitions}")
     print(f"{steps} steps of DDIM, {fewer['num_steps']} of DPM-Solver++")
     for name in names:
-        median, median_busy = statistics.median(seconds[name]), statistics.median(busy[name])
+        public = bf16_name if name.endswith("bf16") else float_name
+        ratio, busy_ratio = (
+            statistics.median(of[public]) / statistics.median(of[name]) for of in (seconds, busy)
+        )
         difference = (motions[name] - motions[names[0]]).abs().max()
         scale = motions[names[0]].abs().max()
         print(
-            f"{name:<40} {median:7.2f} s  {first / median:6.2f} x  (of processor time "
-            f"{first_busy / median_busy:6.2f} x)  largest difference {difference:.1e} of {scale:.2f}"
+            f"{name:<40} {statistics.median(seconds[name]):7.2f} s  {ratio:6.2f} x  (of processor "
+            f"time {busy_ratio:6.2f} x)  largest difference {difference:.1e} of {scale:.2f}"
         )
 
 
