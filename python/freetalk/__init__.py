@@ -29,7 +29,7 @@ _native.core.set_log_sink(logging.getLogger("freetalk").log)
 atexit.register(_native.core.set_log_sink, None)
 
 if TYPE_CHECKING:
-    from freetalk import ats, diffusion, geometry, mesh, metrics, nn, rig, speech, stm
+    from freetalk import ats, diffusion, facetalk, geometry, mesh, metrics, nn, rig, speech, stm
     from freetalk.animation import Animation
     from freetalk.audio import Audio, load_audio
     from freetalk.mesh import Mesh, load_mesh
@@ -52,6 +52,7 @@ _ROOMS = (
     "data",
     "diffusion",
     "evaluate",
+    "facetalk",
     "geometry",
     "mesh",
     "metrics",
@@ -74,6 +75,7 @@ __all__ = [
     "__version__",
     "ats",
     "diffusion",
+    "facetalk",
     "geometry",
     "load_audio",
     "load_mesh",

@@ -31,10 +31,10 @@ def sample(
         schedule: of the forward process.
         denoiser: ``denoiser(x, timestep)`` estimates x_0, shaped as x.
         noise: x_T of any shape.
-        options: ``sampler`` "ddim" [Song et al. 2021], "ddpm" [Ho et al. 2020] or "dpmpp"
-            [DPM-Solver++(2M), Lu et al. 2022]; ``num_steps``; ``eta`` of DDIM; ``spacing`` of the
-            timesteps "trailing", "leading", "linspace", "logsnr" or "auto".
-        seed: of the noise that DDPM and DDIM with eta > 0 add.
+        options: ``sampler`` "ddim" [Song et al. 2021], "ddpm" [Ho et al. 2020], "renoise"
+            [FaceTalk Eq. 9] or "dpmpp" [DPM-Solver++(2M), Lu et al. 2022]; ``num_steps``; ``eta`` of DDIM;
+            ``spacing`` of the timesteps "trailing", "leading", "linspace", "logsnr" or "auto".
+        seed: of the noise that DDPM, renoise and DDIM with eta > 0 add.
         on_step: called with (steps done, steps in all).
 
     Returns:

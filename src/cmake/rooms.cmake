@@ -87,11 +87,12 @@ freetalk_add_room(nn USES core kernels mesh geometry TORCH ALL)
 freetalk_add_room(speech USES audio nn kernels core TORCH ALL HEADERS_OF ${json})
 freetalk_add_room(diffusion USES core TORCH ALL)
 freetalk_add_room(ats USES speech diffusion nn core TORCH ALL HEADERS_OF ${json})
+freetalk_add_room(facetalk USES speech diffusion nn core TORCH ALL HEADERS_OF ${json})
 freetalk_add_room(stm USES nn geometry core TORCH ALL HEADERS_OF ${json})
 freetalk_add_room(rig USES geometry core TORCH ALL)
 freetalk_add_room(metrics USES core TORCH ALL)
 freetalk_add_room(animation USES audio mesh geometry core TORCH ALL HEADERS_OF ${json})
-freetalk_add_room(talker USES animation rig stm ats speech diffusion nn geometry mesh audio core
+freetalk_add_room(talker USES animation rig stm ats facetalk speech diffusion nn geometry mesh audio core
                   TORCH ALL HEADERS_OF ${json})
 
 # core/parallel.cpp is the one unit with OpenMP; its runtime is the very one that torch uses. Where the

@@ -79,6 +79,18 @@ class DdpmStepper : public Stepper {
   const NoiseSource& draw_;
 };
 
+class RenoiseStepper : public Stepper {
+ public:
+  explicit RenoiseStepper(const NoiseSource& draw) : draw_(draw) {}
+
+  at::Tensor next(const at::Tensor& x, const at::Tensor& x0, const Step& step) override {
+    return std::sqrt(step.a_next) * x0 + std::sqrt(1 - step.a_next) * draw_(x);
+  }
+
+ private:
+  const NoiseSource& draw_;
+};
+
 class DpmSolverStepper : public Stepper {
  public:
   at::Tensor next(const at::Tensor& x, const at::Tensor& x0, const Step& step) override {
@@ -101,6 +113,7 @@ class DpmSolverStepper : public Stepper {
 
 std::unique_ptr<Stepper> make_stepper(const SamplerOptions& options, const NoiseSource& draw) {
   if (options.sampler == "ddpm") return std::make_unique<DdpmStepper>(draw);
+  if (options.sampler == "renoise") return std::make_unique<RenoiseStepper>(draw);
   if (options.sampler == "dpmpp") return std::make_unique<DpmSolverStepper>();
   return std::make_unique<DdimStepper>(options.eta, draw);
 }
@@ -108,8 +121,9 @@ std::unique_ptr<Stepper> make_stepper(const SamplerOptions& options, const Noise
 }  // namespace
 
 void SamplerOptions::check() const {
-  FREETALK_CHECK(sampler == "ddim" || sampler == "ddpm" || sampler == "dpmpp",
-                 "sampler must be ddim, ddpm or dpmpp, found '", sampler, "'");
+  FREETALK_CHECK(
+      sampler == "ddim" || sampler == "ddpm" || sampler == "renoise" || sampler == "dpmpp",
+      "sampler must be ddim, ddpm, renoise or dpmpp, found '", sampler, "'");
   FREETALK_CHECK(num_steps > 0, "num_steps must be positive, found ", num_steps);
   FREETALK_CHECK(eta >= 0 && eta <= 1, "eta must be in [0, 1], found ", eta);
   FREETALK_CHECK(eta == 0 || sampler == "ddim", "eta is an option of ddim, but the sampler is ",

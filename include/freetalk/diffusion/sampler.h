@@ -8,6 +8,8 @@
 //   "ddpm"   x_p = (sqrt(a_p) (1 - b) x0 + sqrt(b) (1 - a_p) x_l) / (1 - a_l) + s z,
 //            b = a_l / a_p, s^2 = (1 - b) (1 - a_p) / (1 - a_l)       [Ho et al. 2020, Eq. 7,
 //            respaced]
+//   "renoise" x_p = sqrt(a_p) x0 + sqrt(1 - a_p) z: "ddim" with s^2 = 1 - a_p, the estimate is
+//            noised anew [FaceTalk Eq. 9]
 //   "dpmpp"  DPM-Solver++(2M): with lambda = log(sqrt(a) / sqrt(1 - a)), h = lambda_p - lambda_l,
 //            q = (lambda_l - lambda_before) / h, D = (1 + 1 / (2 q)) x0 - 1 / (2 q) x0_before,
 //            x_p = sqrt((1 - a_p) / (1 - a_l)) x_l - sqrt(a_p) (e^-h - 1) D
@@ -28,7 +30,7 @@
 namespace freetalk::diffusion {
 
 struct SamplerOptions {
-  std::string sampler = "ddim";  // "ddim", "ddpm" or "dpmpp"
+  std::string sampler = "ddim";  // "ddim", "ddpm", "renoise" or "dpmpp"
   int64_t num_steps = 100;       // N, reverse steps, 1 .. T_d; "dpmpp" needs 10 to 20
   double eta = 0.0;              // "ddim" only. 0: deterministic; 1: as noisy as "ddpm"
   /// "trailing": from T_d - 1 in steps of T_d / N; "leading": the same ending at 0; "linspace":

@@ -11,6 +11,7 @@ from . import nn
 from . import speech
 from . import diffusion
 from . import ats
+from . import facetalk
 from . import stm
 from . import rig
 from . import metrics
@@ -23,6 +24,7 @@ __all__: list[str] = [
     "audio",
     "core",
     "diffusion",
+    "facetalk",
     "geometry",
     "mesh",
     "metrics",

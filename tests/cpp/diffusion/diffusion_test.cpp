@@ -116,6 +116,27 @@ TEST(Sampler, RecoversAGaussian) {
   }
 }
 
+TEST(Sampler, RenoiseNoisesTheEstimateAnew) {
+  const Schedule schedule;
+  const at::Tensor estimate = torch::tensor({0.5, -2.0}, torch::kDouble);
+  std::vector<at::Tensor> seen;
+  std::vector<int64_t> timesteps;
+  const Denoiser denoiser = [&](const at::Tensor& x, int64_t timestep) {
+    seen.push_back(x);
+    timesteps.push_back(timestep);
+    return estimate;
+  };
+  const NoiseSource ones = [](const at::Tensor& like) { return torch::ones_like(like); };
+  const at::Tensor result =
+      sample(schedule, denoiser, torch::zeros({2}, torch::kDouble), {"renoise", 4}, ones);
+  EXPECT_TRUE(torch::equal(result, estimate));
+  ASSERT_EQ(seen.size(), 4U);
+  for (size_t i = 1; i < seen.size(); ++i) {
+    const double a = schedule.alpha_bar(timesteps[i]);
+    EXPECT_TRUE(torch::allclose(seen[i], std::sqrt(a) * estimate + std::sqrt(1 - a))) << i;
+  }
+}
+
 TEST(Sampler, DdpmIsDdimWithEtaOne) {
   const Schedule schedule;
   const GaussianData data;
