@@ -22,6 +22,9 @@ from torch import Tensor, nn
 
 from freetalk.ats import Ats, GenerateOptions, generate
 from freetalk.data import open_dataset
+from freetalk.facetalk import FaceTalk
+from freetalk.facetalk import GenerateOptions as CodeOptions
+from freetalk.facetalk import generate as generate_codes
 from freetalk.geometry import concatenate, surface_operators
 from freetalk.nn import DiffusionNet, PoissonNet
 from freetalk.speech import FeatureAdapter, SpeechEncoder, encode_speech
@@ -322,6 +325,50 @@ def test_feature_adapters_learn_on_the_device(
     assert_same_training(ours, theirs, lambda adapter, device: adapter(wave.to(device), 12))
 
 
+# FaceTalk
+
+
+@pytest.mark.parametrize("condition", ["film", "squeeze_excite", "dot_product"])
+def test_facetalk_denoises_learns_and_speaks_on_the_device(
+    mode: DeviceMode, condition: str
+) -> None:
+    torch.manual_seed(0)
+    model = FaceTalk(
+        code_dim=6,
+        audio_dim=12,
+        d_model=16,
+        num_layers=2,
+        num_heads=2,
+        ff_dim=24,
+        window=4,
+        time_condition=condition,
+    ).eval()
+    twin = on_device(mode, model)
+    x, audio, step = torch.randn(2, 9, 6), torch.randn(2, 9, 12), torch.tensor([3, 500])
+    dropped = torch.tensor([True, False])
+
+    def run(model: nn.Module, device: torch.device) -> Tensor:
+        result: Tensor = model(
+            x.to(device), step.to(device), audio=audio.to(device), drop_audio=dropped.to(device)
+        )
+        return result
+
+    assert_same_training(model, twin, run)
+    assert not mode.waits
+    options = {"num_steps": 3, "audio_guidance": 1.5, "piece_frames": 5, "temperature": 0.0}
+    sampling = CodeOptions(**options)
+    expected = generate_codes(model, audio[0], options=sampling)
+    steps: list[int] = []
+    found = generate_codes(
+        twin,
+        audio[0].to(DEVICE),
+        options=sampling,
+        on_step=lambda done, total: steps.append(len(mode.waits)),
+    )
+    assert_same(found, expected)
+    assert steps[0] == steps[-1]  # from the first step to the last nothing waited
+
+
 # Training
 
 
@@ -335,11 +382,20 @@ def both_tasks(
 ) -> tuple[Any, Any]:
     """A task on the host and the same one on the device."""
     from freetalk.train import ats as ats_task
+    from freetalk.train import facetalk as facetalk_task
     from freetalk.train import stm as stm_task
 
     config = load_config(kind, CONFIGS / f"{kind}_smoke.yaml", ["loop.device=cpu"])
-    make = {"ats": ats_task.AtsTask, "stm": stm_task.StmTask}[kind]
-    room, name = {"ats": (ats_task, "Ats"), "stm": (stm_task, "Stm")}[kind]
+    make = {
+        "ats": ats_task.AtsTask,
+        "stm": stm_task.StmTask,
+        "facetalk": facetalk_task.FaceTalkTask,
+    }[kind]
+    room, name = {
+        "ats": (ats_task, "Ats"),
+        "stm": (stm_task, "Stm"),
+        "facetalk": (facetalk_task, "FaceTalk"),
+    }[kind]
     host = make(config, open_dataset(corpus), out, torch.device("cpu"))
     original = getattr(room, name)
 
@@ -353,7 +409,7 @@ def both_tasks(
     return host, device
 
 
-@pytest.mark.parametrize("kind", ["ats", "stm"])
+@pytest.mark.parametrize("kind", ["ats", "stm", "facetalk"])
 def test_training_tasks_run_on_the_device(
     kind: str,
     corpus: Path,

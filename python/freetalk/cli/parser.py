@@ -209,6 +209,7 @@ def _add_train(commands: Any) -> None:
         ("ats", "audio to sparse: speech to the motion of 68 landmarks"),
         ("stm", "sparse to mesh: landmark motion to the motion of any mesh"),
         ("speech", "the speech encoder"),
+        ("facetalk", "FaceTalk: speech to expression weights or codes of a parametric head"),
     ):
         parser = _command(kinds, kind, "train:run", f"train {what}")
         parser.set_defaults(kind=kind)

@@ -7,6 +7,7 @@ release is raised, or listed among the takes left out, by name (:mod:`freetalk.d
 """
 
 from freetalk.data.check import DatasetReport, check_dataset
+from freetalk.data.codes import HeadCodes, write_codes
 from freetalk.data.dataset import Dataset
 from freetalk.data.emotions import EMOTIONS
 from freetalk.data.errors import (
@@ -36,6 +37,7 @@ __all__ = [
     "DatasetError",
     "DatasetReport",
     "FaceMesh",
+    "HeadCodes",
     "LabelError",
     "Landmarks",
     "LayoutError",
@@ -60,4 +62,5 @@ __all__ = [
     "parse_spec",
     "read_landmarks",
     "read_mask",
+    "write_codes",
 ]

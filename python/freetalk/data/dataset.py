@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from freetalk.data.codes import HeadCodes, codes_of
 from freetalk.data.emotions import EMOTIONS
 from freetalk.data.errors import DatasetError
 from freetalk.data.pack import FULL_SCALE, SAMPLE_RATE_HZ, FloatArray, Pack
@@ -146,6 +147,29 @@ class Dataset:
             return read_frames(self.packs[sequence.dataset], "motion", sequence, start, stop)
         stop = sequence.num_frames if stop is None else stop
         return np.zeros((stop - start, 0), np.float32)
+
+    def head_codes(self) -> HeadCodes:
+        """What the fitted codes of all sequences belong to.
+
+        Raises:
+            DatasetError: a dataset has none, or they are of several heads; says which.
+        """
+        found = {name: codes_of(pack) for name, pack in self.packs.items()}
+        first = next(iter(found.values()))
+        if first is None or any(one is None or one.head != first.head for one in found.values()):
+            listed = ", ".join(
+                f"{name}: {'none' if one is None else one.head}" for name, one in found.items()
+            )
+            raise DatasetError(
+                f"codes of one head are needed, fitted by 'freetalk corpus codes'; found {listed}"
+            )
+        return first
+
+    def codes(
+        self, sequence: MotionSequence, start: int = 0, stop: int | None = None
+    ) -> FloatArray:
+        """Fitted codes of the parametric head in frames [start, stop), (T, Z) float32."""
+        return read_frames(self.packs[sequence.dataset], "codes", sequence, start, stop)
 
     def audio(self, sequence: MotionSequence) -> FloatArray:
         """Samples, (S,) float32 in [-1, 1]; silence of its length where nothing was recorded."""

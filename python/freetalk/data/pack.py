@@ -7,6 +7,8 @@
 ``motion.npy``      (N, V, 3) float16, vertex displacements, m; or (N, E) float32, factors: expression weights, or
                     FLAME's expression and the jaw's rotation matrix minus the identity; absent where only the
                     landmarks are known
+``codes.npy``       (N, Z) float32, expression codes of a parametric head; only where they were fitted
+                    (:mod:`freetalk.data.codes`)
 ``audio.npy``       (S,) int16 at 16 kHz, 32768 is full scale
 ``identities.npy``  (I, K) float32, coefficients of each face
 ``topologies/``     an ``.npz`` a meshing: ``neutral`` (V, 3), ``faces`` (F, 3), ``identity_basis`` (K, V, 3),
@@ -140,6 +142,8 @@ class Pack:
                 f"{path} is of format {found[0]} version {found[1]}, expected {FORMAT} version {VERSION}: make it "
                 "anew with 'freetalk corpus build' or 'freetalk data import'"
             )
+        about = self.directory / "codes.json"
+        content += about.read_bytes() if about.is_file() else b""
         self.fingerprint = hashlib.sha256(content).hexdigest()[:16]
         self.fps = float(self.manifest["fps"])
         self.expressions: tuple[str, ...] = tuple(self.manifest["expressions"])
@@ -149,6 +153,8 @@ class Pack:
         )
         motion = self.directory / "motion.npy"
         self.motion = Rows(motion) if motion.is_file() else None
+        codes = self.directory / "codes.npy"
+        self.codes = Rows(codes) if codes.is_file() else None
         self.identities = np.load(self.directory / "identities.npy")
         self._phones: dict[str, list[list[Any]]] | None = None
         # Bound per object, so that two packs never share a meshing of the same name.
@@ -195,6 +201,7 @@ class Pack:
         for rows, wanted in (
             (self.landmarks, frames),
             (self.motion, frames),
+            (self.codes, frames),
             (self.audio, samples),
         ):
             if rows is not None and rows.shape[0] < wanted:

@@ -162,7 +162,7 @@ def sequences_of(pack: Pack, name: str, scheme: int) -> list[MotionSequence]:
 def read_frames(
     pack: Pack, name: str, sequence: MotionSequence, start: int, stop: int | None
 ) -> FloatArray:
-    """Frames [start, stop) of ``landmarks`` or ``motion``, at the sequence's rate."""
+    """Frames [start, stop) of ``landmarks``, ``motion`` or ``codes``, at the sequence's rate."""
     stop = sequence.num_frames if stop is None else min(stop, sequence.num_frames)
     start, stop = start + sequence.offset, stop + sequence.offset
     first = sequence.start_frame
@@ -179,7 +179,9 @@ def _resampled(pack: Pack, name: str, first: int, stop: int, fps: float) -> Floa
 
 
 def _stored(pack: Pack, name: str, first: int, stop: int) -> FloatArray:
-    rows = pack.motion if name == "motion" else pack.landmarks
+    stored = {"landmarks": pack.landmarks, "motion": pack.motion, "codes": pack.codes}
+    rows = stored[name]
     if rows is None:
-        raise ValueError(f"{pack.directory} knows the landmarks alone, no vertices")
+        lacking = "vertices" if name == "motion" else name
+        raise ValueError(f"{pack.directory} has no {lacking} of its frames")
     return np.asarray(rows.read(first, stop), np.float32)

@@ -41,7 +41,7 @@ from freetalk.train.losses import (
     vertex_errors,
 )
 from freetalk.train.mosaic import blended
-from freetalk.train.previews import MeanFace, Sample
+from freetalk.train.previews import MeanFace, Sample, sample_of
 from freetalk.train.sequences import Epochs, SequenceSampler, numpy_generator, present_weights
 from freetalk.train.task_options import AtsTaskOptions
 
@@ -258,7 +258,7 @@ class AtsTask:
                 "speech_encoder": self._encoder,
             },
         }
-        export_model(directory, config, dict(self.model.state_dict()), keep_float32="motion_")
+        export_model(directory, config, dict(self.model.state_dict()), keep_float32=("motion_",))
 
     def sample(self) -> Sample:
         """The mean face speaking the first held-out take with sound, and its true motion."""
@@ -277,17 +277,7 @@ class AtsTask:
         )
         if self._face is None:
             self._face = MeanFace(self._out / "stm", self.device)
-        true = torch.from_numpy(self.corpus.landmarks(sequence, 0, len(features)))
-        rate = self.corpus.sample_rate_hz
-        return Sample(
-            vertices=self._face.vertices,
-            faces=self._face.faces,
-            predicted=self._face.moved(motion),
-            true=self._face.moved(true),
-            fps=sequence.fps,
-            audio=self.corpus.audio(sequence)[: round(len(features) / sequence.fps * rate)],
-            sample_rate_hz=rate,
-        )
+        return sample_of(self._face, self.corpus, sequence, motion)
 
     def _terms(self, batch: dict[str, Any], step: Tensor, noise: Tensor) -> dict[str, Tensor]:
         o = self.options

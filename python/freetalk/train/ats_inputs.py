@@ -8,7 +8,7 @@ from typing import Any
 from freetalk._pretrained import PRETRAINED
 from freetalk.data import Dataset, MotionSequence
 from freetalk.train.initial import initial_weights
-from freetalk.train.task_options import AtsTaskOptions
+from freetalk.train.task_options import AtsTaskOptions, FaceTalkTaskOptions
 
 
 def audible(sequences: list[MotionSequence]) -> list[MotionSequence]:
@@ -43,7 +43,7 @@ def named_encoder(name: str) -> Path:
     return shipped if not Path(name).exists() and shipped.is_dir() else Path(name)
 
 
-def speech_encoder(options: AtsTaskOptions, out: Path) -> Path:
+def speech_encoder(options: AtsTaskOptions | FaceTalkTaskOptions, out: Path) -> Path:
     """Folder of the speech encoder that the options name or imply, never one that nobody named.
 
     Raises:
@@ -52,8 +52,9 @@ def speech_encoder(options: AtsTaskOptions, out: Path) -> Path:
     if options.speech_encoder:
         return named_encoder(options.speech_encoder)
     beside = [out / "speech"]
+    kind = "ats" if isinstance(options, AtsTaskOptions) else "facetalk"
     if options.init:
-        beside.append(initial_weights(options.init, "ats").parent / "speech")
+        beside.append(initial_weights(options.init, kind).parent / "speech")
     for folder in beside:
         if (folder / "config.json").is_file():
             return folder

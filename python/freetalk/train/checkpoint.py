@@ -94,7 +94,10 @@ def _unused_name(directory: Path, step: int) -> str:
 
 
 def export_model(
-    directory: Path, config: dict[str, Any], state: dict[str, Tensor], keep_float32: str = ""
+    directory: Path,
+    config: dict[str, Any],
+    state: dict[str, Tensor],
+    keep_float32: tuple[str, ...] = (),
 ) -> None:
     """Writes ``model.safetensors`` (float16) and ``config.json`` for inference.
 
@@ -102,13 +105,13 @@ def export_model(
         directory: folder to write to.
         config: contents of config.json.
         state: tensors by name.
-        keep_float32: tensors whose name starts with this keep full precision.
+        keep_float32: tensors whose name starts with one of these keep full precision.
     """
     directory.mkdir(parents=True, exist_ok=True)
     halved: dict[str, Tensor] = {}
     for name, tensor in state.items():
         value = tensor.detach().cpu()
-        whole = bool(keep_float32) and name.startswith(keep_float32)
+        whole = name.startswith(keep_float32)
         halved[name] = (
             value.half() if value.is_floating_point() and not whole else value.clone()
         ).contiguous()

@@ -14,6 +14,7 @@ from omegaconf.errors import OmegaConfBaseException
 from freetalk.train.curves import LOGGERS
 from freetalk.train.task_options import (
     AtsTaskOptions,
+    FaceTalkTaskOptions,
     SpeechTaskOptions,
     StmTaskOptions,
     require,
@@ -114,11 +115,12 @@ class LoopOptions:
             require(value in known, f"{name} must be one of {', '.join(known)}", value)
 
 
-TaskOptions = AtsTaskOptions | StmTaskOptions | SpeechTaskOptions
-_TASKS: dict[str, type[AtsTaskOptions] | type[StmTaskOptions] | type[SpeechTaskOptions]] = {
+TaskOptions = AtsTaskOptions | StmTaskOptions | SpeechTaskOptions | FaceTalkTaskOptions
+_TASKS: dict[str, type[Any]] = {
     "ats": AtsTaskOptions,
     "stm": StmTaskOptions,
     "speech": SpeechTaskOptions,
+    "facetalk": FaceTalkTaskOptions,
 }
 KINDS = tuple(_TASKS)
 
@@ -161,7 +163,7 @@ def load_config(kind: str, path: str | Path, overrides: list[str] | None = None)
     """Reads a YAML file with sections ``model``, ``loop`` and ``task``.
 
     Args:
-        kind: ``ats``, ``stm`` or ``speech``.
+        kind: ``ats``, ``stm``, ``speech`` or ``facetalk``.
         path: YAML file, or the name of a shipped one (``ats_small``).
         overrides: ``section.key=value`` pairs that win over the file; a mapping (``{a: 1}``) takes the
             place of the file's.

@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from freetalk._files import replacing, write_json
 from freetalk.data import Dataset, MotionSequence
-from freetalk.speech import SpeechEncoder, encode_speech
+from freetalk.speech import EncodeOptions, SpeechEncoder, encode_speech
 from freetalk.train.augment import augment_wave, change_speed, change_voice
 
 
@@ -31,10 +31,11 @@ class FeatureCopy:
 
 @dataclass(frozen=True)
 class _Copies:
-    """How many altered copies a training sequence has: as it was said, and in other voices by source."""
+    """What is computed of a training sequence: altered copies, others in other voices by source; how."""
 
     augmentations: int
     voices: dict[str, int]
+    resampling: str
 
     def of(self, sequence: MotionSequence) -> tuple[int, int]:
         if sequence.split != "train":
@@ -43,7 +44,8 @@ class _Copies:
 
     def __str__(self) -> str:
         named = "".join(f" {k}={v}" for k, v in sorted(self.voices.items()) if v)
-        return f"{self.augmentations}{named}"
+        own = "" if self.resampling == "output" else f" {self.resampling}"
+        return f"{self.augmentations}{named}{own}"
 
 
 class FeatureCache:
@@ -57,6 +59,8 @@ class FeatureCache:
         augmentations: altered copies of each training sequence.
         device: where to encode.
         voices: altered copies in other voices of each training sequence of a source, after the others.
+        resampling: where features are brought to the motion's rate: ``output`` of the encoder, or of its
+            ``conv``olutions.
     """
 
     def __init__(
@@ -68,9 +72,11 @@ class FeatureCache:
         augmentations: int,
         device: torch.device,
         voices: Mapping[str, int] | None = None,
+        resampling: str = "output",
     ) -> None:
         self.corpus = corpus
-        copies = _Copies(augmentations, {k: int(v) for k, v in (voices or {}).items()})
+        named = {k: int(v) for k, v in (voices or {}).items()}
+        copies = _Copies(augmentations, named, resampling)
         key = _key(corpus, sequences, encoder_dir, copies)
         path = directory / f"speech-features-{key}"
         if not (path / "index.json").is_file():
@@ -165,7 +171,7 @@ def _compute(
                 sequence,
                 encoder,
                 np.random.default_rng([number, 77]),
-                *wanted.of(sequence),
+                wanted,
             ):
                 half = features.astype(np.float16)
                 half.tofile(file)
@@ -190,11 +196,12 @@ def _renderings(
     sequence: MotionSequence,
     encoder: SpeechEncoder,
     rng: np.random.Generator,
-    augmentations: int,
-    voices: int,
+    wanted: _Copies,
 ) -> Iterator[tuple[float, npt.NDArray[np.float32]]]:
     """Speed and features (T, C) of a sequence's sound: as it is, then altered."""
     wave = corpus.audio(sequence)
+    augmentations, voices = wanted.of(sequence)
+    options = EncodeOptions(resample=wanted.resampling)
     for copy in range(1 + augmentations + voices):
         speed, heard = 1.0, wave
         if copy > augmentations:
@@ -205,5 +212,5 @@ def _renderings(
         if copy > 0:
             heard = augment_wave(heard, rng, corpus.sample_rate_hz)
         sound = torch.from_numpy(np.array(heard, dtype=np.float32))
-        features = encode_speech(encoder, sound, sequence.fps).cpu().numpy()
+        features = encode_speech(encoder, sound, sequence.fps, options=options).cpu().numpy()
         yield speed, features[: round(sequence.num_frames / speed)]

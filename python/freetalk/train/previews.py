@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from freetalk._pretrained import PRETRAINED
+from freetalk.data import Dataset, MotionSequence
 from freetalk.geometry import surface_operators
 from freetalk.stm import Stm
 
@@ -86,6 +87,30 @@ class MeanFace:
         parts = [self._stm.decode(features, self._operators, part) for part in landmarks.split(16)]
         result: FloatArray = torch.cat(parts).float().cpu().numpy()
         return result
+
+
+def sample_of(
+    face: MeanFace, corpus: Dataset, sequence: MotionSequence, predicted: Tensor
+) -> Sample:
+    """The mean face moved by predicted landmarks and by those of a sequence, with its sound.
+
+    Args:
+        face: who speaks.
+        corpus: whose sequence it is.
+        sequence: what is spoken, from its first frame on.
+        predicted: (T, 68, 3) displacements, m.
+    """
+    true = torch.from_numpy(corpus.landmarks(sequence, 0, len(predicted)))
+    rate = corpus.sample_rate_hz
+    return Sample(
+        vertices=face.vertices,
+        faces=face.faces,
+        predicted=face.moved(predicted),
+        true=face.moved(true),
+        fps=sequence.fps,
+        audio=corpus.audio(sequence)[: round(len(predicted) / sequence.fps * rate)],
+        sample_rate_hz=rate,
+    )
 
 
 def save_sample(sample: Sample, path: Path) -> Picture:

@@ -38,7 +38,7 @@ def run(
     `out` are folders that all of them see.
 
     Args:
-        kind: ``ats``, ``stm`` or ``speech``.
+        kind: ``ats``, ``stm``, ``speech`` or ``facetalk``.
         config_path: YAML file with sections ``model``, ``loop`` and ``task``.
         overrides: ``section.key=value`` pairs that win over the file.
         data: folder of the data, or several as ``NAME=PATH`` (see ``freetalk.data.open_datasets``).
@@ -110,6 +110,10 @@ def _new_task(config: TrainingConfig, corpus: Dataset, out: Path, device: torch.
         from freetalk.train.ats import AtsTask
 
         return AtsTask(config, corpus, out, device)
+    if config.kind == "facetalk":
+        from freetalk.train.facetalk import FaceTalkTask
+
+        return FaceTalkTask(config, corpus, out, device)
     if config.kind == "stm":
         from freetalk.train.stm import StmTask
 

@@ -1,4 +1,4 @@
-"""Options of the three trainings: what each draws from the data and which losses it weighs."""
+"""Options of the trainings: what each draws from the data and which losses it weighs."""
 
 from __future__ import annotations
 
@@ -223,3 +223,92 @@ class SpeechTaskOptions:
         require(self.crop_s >= 1.0, "task.crop_s must be at least 1", self.crop_s)
         require(self.pieces >= 1, "task.pieces must be at least 1", self.pieces)
         require(0 <= self.augment <= 1, "task.augment must be in [0, 1]", self.augment)
+
+
+@dataclass
+class FaceTalkTaskOptions:
+    """Data and losses of the speech-to-codes stage [FaceTalk, Aneja et al. 2024].
+
+    Attributes:
+        targets: ``weights`` of the corpus's expressions, or fitted codes of a parametric ``head``
+            (``freetalk corpus codes``).
+        init: weights to start from: their folder, or a training's output folder, whose statistics of
+            the codes stay; empty starts from random ones.
+        speech_encoder: folder of the speech encoder, or the name of installed weights
+            (``open-small``); empty takes ``OUT/speech``, else the one beside the weights of `init`.
+        feature_cache: folder of the computed speech features; empty takes ``OUT/cache``.
+        feature_augmentations: extra copies of the features from changed audio (noise, room, band
+            limits, speed).
+        feature_noise: noise added to the features of each frame, relative to their standard
+            deviation; 0 is the paper.
+        feature_shift: the same noise in all frames of a window, likewise; 0 is the paper.
+        feature_dropout: share of the features that are replaced by their mean over the corpus; 0 is
+            the paper.
+        window_frames: of a window; 48 are the paper's two seconds.
+        amplitude_low: r of Eq. 8, by which codes are scaled about the face at rest, is drawn from
+            U(amplitude_low, amplitude_high) for each window; 1 and 1 disable it.
+        amplitude_high: see `amplitude_low`; the paper does not say the bounds.
+        blend: share of the windows that are convex combinations of two, in features and codes [mixup,
+            Zhang et al. 2018]; 0 is the paper.
+        audio_dropout: share of the windows that hear nothing, for guidance; 0.25 is the paper.
+        step_power: diffusion steps t of N are drawn with a density of t^(step_power - 1); 1 is the paper.
+        source_weights: share of each source in the batches; others are left out, and so are names
+            that the data lacks. Empty takes all in proportion to their length.
+        loss_units: ``codes`` (the paper's Eq. 4) or ``normalised`` (each code by its spread).
+        lambda_velocity: weight of the error of the codes' first differences; 0 is the paper.
+        opening_weight: weight of the squared error of the inner lips' gaps, relative to the usual
+            opening, through a linear map from codes to landmarks; 0 disables (the paper).
+        closure_weight: weight of a term on lips that should be closed for a moment, as in p, b and m,
+            through the same map; 0 disables (the paper).
+        validation_windows: windows of the validation split that are scored.
+        validation_samples: clips of it, of at most 300 frames, that are also sampled from noise, for
+            LVE, MVE and the opening's correlation of what a user gets; 0 for none.
+    """
+
+    targets: str = "weights"
+    init: str = ""
+    speech_encoder: str = ""
+    feature_cache: str = ""
+    feature_augmentations: int = 0
+    feature_noise: float = 0.0
+    feature_shift: float = 0.0
+    feature_dropout: float = 0.0
+    window_frames: int = 48
+    amplitude_low: float = 1.0
+    amplitude_high: float = 1.0
+    blend: float = 0.0
+    audio_dropout: float = 0.25
+    step_power: float = 1.0
+    source_weights: dict[str, float] = field(default_factory=dict)
+    loss_units: str = "normalised"
+    lambda_velocity: float = 0.0
+    opening_weight: float = 0.0
+    closure_weight: float = 0.0
+    validation_windows: int = 32
+    validation_samples: int = 4
+
+    def check(self) -> None:
+        """Raises ValueError where a value is out of range."""
+        choices = {
+            "targets": (self.targets, ("weights", "head")),
+            "loss_units": (self.loss_units, ("codes", "normalised")),
+        }
+        for name, (value, known) in choices.items():
+            require(value in known, f"task.{name} must be one of {', '.join(known)}", value)
+        require(
+            self.window_frames >= 2, "task.window_frames must be at least 2", self.window_frames
+        )
+        require(
+            0 < self.amplitude_low <= self.amplitude_high,
+            "task.amplitude_low must be positive and at most amplitude_high",
+            f"{self.amplitude_low} and {self.amplitude_high}",
+        )
+        require(
+            0 <= self.feature_dropout < 1,
+            "task.feature_dropout must be in [0, 1)",
+            self.feature_dropout,
+        )
+        for name in ("blend", "audio_dropout"):
+            value = getattr(self, name)
+            require(0 <= value <= 1, f"task.{name} must be in [0, 1]", value)
+        require(self.step_power > 0, "task.step_power must be positive", self.step_power)
