@@ -16,6 +16,26 @@ namespace {
 
 constexpr int64_t kDpmSolverSteps = 20;  // within 2 % of a hundred steps of DDIM
 
+/// Landmark displacements (K, T, 68, 3), m, at its own rate, that FaceTalk gives to each seed.
+at::Tensor facetalk_motion(const TalkerModels& models, const at::Tensor& samples,
+                           const std::vector<int64_t>& seeds, const AnimateOptions& options,
+                           const std::string& precision, c10::Device device, Stages& stages) {
+  speech::SpeechEncoder encoder = models.speech;
+  facetalk::FaceTalk denoiser = models.facetalk;
+  const auto& own = denoiser->options();
+  speech::EncodeOptions encoding;
+  encoding.resample = own.feature_resampling;
+  const auto features = speech::encode_speech(encoder, samples, own.fps, encoding,
+                                              [&](double share) { stages.at(share); });
+  stages.begin("motion");
+  const auto codes =
+      facetalk::generate(denoiser, features.to(device), code_options(options, precision),
+                         {seeds.begin(), seeds.end()}, [&](int64_t done, int64_t total) {
+                           stages.at(static_cast<double>(done) / static_cast<double>(total));
+                         });
+  return denoiser->landmarks(codes);
+}
+
 /// Motion that each seed gives to the speech.
 std::vector<at::Tensor> spoken_motion(const TalkerModels& models, const audio::Audio& audio,
                                       int64_t num_frames, const std::vector<int64_t>& seeds,
@@ -29,6 +49,17 @@ std::vector<at::Tensor> spoken_motion(const TalkerModels& models, const audio::A
                          ? audio
                          : audio::resample(audio, speech::kSampleRateHz);
   const auto samples = at::tensor(heard.samples);
+  const auto at_rate = [&](const at::Tensor& motion, double fps) {
+    std::vector<at::Tensor> result;
+    for (const auto& one : motion.to(at::kCPU).unbind()) {
+      result.push_back(animation::resample_motion(one, fps, options.fps, num_frames).contiguous());
+    }
+    return result;
+  };
+  if (options.motion == "facetalk") {
+    return at_rate(facetalk_motion(models, samples, seeds, options, precision, device, stages),
+                   models.facetalk->options().fps);
+  }
   const auto features =
       speech::encode_speech(encoder, samples, own.fps, {}, [&](double share) { stages.at(share); });
   stages.begin("motion");
@@ -45,15 +76,22 @@ std::vector<at::Tensor> spoken_motion(const TalkerModels& models, const audio::A
       generators, [&](int64_t done, int64_t total) {
         stages.at(static_cast<double>(done) / static_cast<double>(total));
       });
-  std::vector<at::Tensor> result;
-  for (const auto& one : motion.to(at::kCPU).unbind()) {
-    result.push_back(
-        animation::resample_motion(one, own.fps, options.fps, num_frames).contiguous());
-  }
-  return result;
+  return at_rate(motion, own.fps);
 }
 
 }  // namespace
+
+facetalk::GenerateOptions code_options(const AnimateOptions& options,
+                                       const std::string& precision) {
+  facetalk::GenerateOptions own;
+  own.sampler = options.sampler.value_or("dpmpp");
+  own.num_steps = options.num_steps.value_or(own.sampler == "dpmpp" ? kDpmSolverSteps : 50);
+  own.eta = options.eta.value_or(own.eta);
+  own.audio_guidance = options.audio_guidance.value_or(own.audio_guidance);
+  own.temperature = options.mouth_temperature.value_or(own.temperature);
+  own.precision = precision;
+  return own;
+}
 
 ats::GenerateOptions sampling_options(const AnimateOptions& options, const std::string& precision,
                                       ats::GenerateOptions own) {
@@ -97,7 +135,13 @@ void check_performance(const audio::Audio& audio, const std::vector<int64_t>& se
     FREETALK_CHECK(seed >= 0, "seed must not be negative, found ", seed);
   }
   emotion_keys(options.emotion, options.intensity, models.ats->options());
-  sampling_options(options, precision, models.generate).check();
+  if (options.motion == "facetalk") {
+    FREETALK_CHECK(models.facetalk, "these weights hold no facetalk/: train one with `freetalk ",
+                   "train facetalk` into their folder, or leave motion at ats");
+    code_options(options, precision).check();
+  } else {
+    sampling_options(options, precision, models.generate).check();
+  }
   audio.check();
   FREETALK_CHECK(!audio.samples.empty(), "the audio has no samples");
 }
@@ -116,6 +160,10 @@ std::vector<at::Tensor> landmark_motion(const TalkerModels& models, const audio:
       motions.push_back(rest_motion(landmarks, num_frames, options.fps));
     }
   } else {
+    if (options.motion == "facetalk" && options.emotion != "neutral") {
+      report.notices.push_back("FaceTalk's motion knows no emotions: '" + options.emotion +
+                               "' is not shown");
+    }
     motions = spoken_motion(models, audio, num_frames, seeds, options, precision, device, stages);
   }
   if (options.blinks) {

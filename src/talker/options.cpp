@@ -59,8 +59,12 @@ void AnimateOptions::check() const {
   FREETALK_CHECK(std::isfinite(fps) && fps > 0 && fps <= 240,
                  "fps must be above 0 and at most 240, found ", fps);
   FREETALK_CHECK(seed >= 0, "seed must not be negative, found ", seed);
-  FREETALK_CHECK(!sampler || *sampler == "ddim" || *sampler == "ddpm" || *sampler == "dpmpp",
-                 "sampler must be ddim, ddpm or dpmpp, found '", sampler.value_or(""), "'");
+  FREETALK_CHECK(motion == "ats" || motion == "facetalk", "motion must be ats or facetalk, found '",
+                 motion, "'");
+  FREETALK_CHECK(!sampler || *sampler == "ddim" || *sampler == "ddpm" || *sampler == "renoise" ||
+                     *sampler == "dpmpp",
+                 "sampler must be ddim, ddpm, renoise or dpmpp, found '", sampler.value_or(""),
+                 "'");
   FREETALK_CHECK(num_steps.value_or(1) >= 1, "num_steps must be at least 1, found ",
                  num_steps.value_or(1));
   FREETALK_CHECK(

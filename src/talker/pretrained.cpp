@@ -72,6 +72,14 @@ Talker Talker::from_pretrained(const std::filesystem::path& directory,
   const int64_t wanted = models.ats->options().audio_dim;
   FREETALK_RUNTIME_CHECK(heard == wanted, directory.string(), ": speech/ gives ", heard,
                          " channels but ats/ expects ", wanted);
+  if (const auto folder = directory / "facetalk"; std::filesystem::exists(folder / "config.json")) {
+    models.facetalk = core::load_model<facetalk::FaceTalk, facetalk::FaceTalkOptions>(
+        folder, "freetalk-facetalk");
+    const auto& own = models.facetalk->options();
+    FREETALK_RUNTIME_CHECK(own.condition == "audio" && own.audio_dim == heard, folder.string(),
+                           ": hears ", own.condition, " of ", own.audio_dim,
+                           " channels, but speech/ gives ", heard);
+  }
   const bool gpu = torch::cuda::is_available();
   return Talker(std::move(models), device.value_or(gpu ? c10::Device(c10::kCUDA) : c10::kCPU));
 }

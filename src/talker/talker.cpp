@@ -21,6 +21,7 @@ Talker::Talker(TalkerModels models, c10::Device device) : device_(device) {
     settle(*models.speech);
     settle(*models.ats);
     settle(*models.stm);
+    if (models.facetalk) settle(*models.facetalk);
     models_ = std::make_shared<const TalkerModels>(std::move(models));
   });
 }

@@ -5,6 +5,7 @@
 
 #include "freetalk/ats/ats.h"
 #include "freetalk/ats/generate.h"
+#include "freetalk/facetalk/facetalk.h"
 #include "freetalk/rig/face_rig.h"
 #include "freetalk/speech/encoder.h"
 #include "freetalk/stm/stm.h"
@@ -21,6 +22,7 @@ struct Template {
 struct TalkerModels {
   speech::SpeechEncoder speech{nullptr};
   ats::Ats ats{nullptr};
+  facetalk::FaceTalk facetalk{nullptr};  // of AnimateOptions::motion "facetalk"; empty: none
   stm::Stm stm{nullptr};
   Template face;
   ats::GenerateOptions generate;  // the weights' own sampling options

@@ -53,9 +53,12 @@ struct AnimateOptions {
   std::string emotion = "neutral";
   /// 1 (slight) ... AtsOptions::num_intensities (strong); nothing: the middle. Neutral has one.
   std::optional<double> intensity;
+  /// What makes motion of speech: "ats", or, where the weights hold it, "facetalk", which knows no
+  /// emotions.
+  std::string motion = "ats";
   double fps = 30.0;                        // frames per second of the animation, 0 < fps <= 240
   int64_t seed = 0;                         // other seeds give other motion for the same speech
-  std::optional<std::string> sampler;       // "ddim", "ddpm", "dpmpp"
+  std::optional<std::string> sampler;       // "ddim", "ddpm", "renoise", "dpmpp"
   std::optional<int64_t> num_steps;         // denoising steps; 20 where "dpmpp" is asked for
   std::optional<double> eta;                // DDIM noise in [0, 1]
   std::optional<double> audio_guidance;     // see ats::GenerateOptions
@@ -72,6 +75,7 @@ struct AnimateOptions {
   void fields(V& v) {
     v("emotion", emotion);
     v("intensity", intensity);
+    v("motion", motion);
     v("fps", fps);
     v("seed", seed);
     v("sampler", sampler);

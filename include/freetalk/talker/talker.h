@@ -26,7 +26,8 @@ struct TalkerModels;
 /// threads at once, on the CPU with the bits that one thread would get (on a GPU up to rounding).
 class Talker {
  public:
-  /// Reads talker.json, speech/, ats/, stm/ and template.safetensors.
+  /// Reads talker.json, speech/, ats/, stm/ and template.safetensors, and facetalk/ where there is
+  /// one.
   /// @param device nothing: the GPU if there is one.
   /// @throws std::runtime_error naming the file that is missing, broken or doesn't fit.
   static Talker from_pretrained(const std::filesystem::path& directory,

@@ -63,6 +63,7 @@ class AnimateOptions:
     eta: typing.Any
     fps: typing.Any
     intensity: typing.Any
+    motion: typing.Any
     mouth_temperature: typing.Any
     num_steps: typing.Any
     sampler: typing.Any
@@ -100,6 +101,7 @@ class TalkerOptions:
     fps: typing.Any
     intensity: typing.Any
     memory_mb: typing.Any
+    motion: typing.Any
     mouth_temperature: typing.Any
     num_steps: typing.Any
     precision: typing.Any

@@ -160,7 +160,7 @@ def animate(
     report: Report,
 ) -> freetalk.Animation:
     """Generates the motion."""
-    names = ("intensity", "fps", "seed", "blinks")
+    names = ("intensity", "motion", "fps", "seed", "blinks")
     options: dict[str, Any] = {name: getattr(arguments, name) for name in names}
     options["emotion"] = emotion
     options |= diffusion_options(arguments)

@@ -34,7 +34,7 @@ def guidance(text: str) -> dict[str, float]:
 def add_diffusion(parser: argparse.ArgumentParser) -> None:
     """Adds how motion is sampled from speech; what is not given is as the weights say."""
     absent = argparse.SUPPRESS
-    samplers = ("ddim", "ddpm", "dpmpp")
+    samplers = ("ddim", "ddpm", "renoise", "dpmpp")
     sampler_help = "dpmpp (DPM-Solver++) needs 10 to 20 steps; by default that of the weights"
     parser.add_argument("--sampler", choices=samplers, default=absent, help=sampler_help)
     steps_help = "denoising steps; fewer are faster; by default those of the weights, 20 of dpmpp"
@@ -76,6 +76,10 @@ def add_decoding(parser: argparse.ArgumentParser) -> None:
         metavar="MM",
         help=tolerance_help,
     )
+    motion_help = (
+        "what makes the motion: ats, or facetalk where the weights hold it, which knows no emotions"
+    )
+    parser.add_argument("--motion", choices=("ats", "facetalk"), default="ats", help=motion_help)
     parser.add_argument(
         "--blinks",
         action=argparse.BooleanOptionalAction,

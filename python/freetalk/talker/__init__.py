@@ -200,9 +200,9 @@ class Talker:
                 mixture and intensity, linear in between; or ``"auto"``: what the voice sounds like.
             landmarks: as for :meth:`prepare`.
             progress: as for :meth:`prepare`.
-            options: further fields of ``TalkerOptions``: intensity, fps, seed, sampler ("ddim", "ddpm",
-                "dpmpp"), num_steps, eta, audio_guidance, affect_guidance, mouth_temperature, blinks, tolerance_mm,
-                and those of :meth:`prepare`. What is None is as the weights say.
+            options: further fields of ``TalkerOptions``: intensity, motion ("ats", or "facetalk" where the weights
+                hold it), fps, seed, sampler ("ddim", "ddpm", "renoise", "dpmpp"), num_steps, eta, audio_guidance,
+                affect_guidance, mouth_temperature, blinks, tolerance_mm, and those of :meth:`prepare`. What is None is as the weights say.
 
         Returns:
             round(duration * fps) frames in the mesh's own unit, axes and vertex order.

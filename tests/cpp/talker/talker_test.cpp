@@ -236,6 +236,52 @@ TEST_F(TalkerTest, SeveralSeedsAtOnce) {
   EXPECT_THROW(talker.animate_many(hum(0.5), mesh, {-1}, wanted), std::invalid_argument);
 }
 
+TEST_F(TalkerTest, FaceTalkSpeaksWhereTheWeightsHoldIt) {
+  const Talker without = Talker::from_pretrained(dir_, c10::kCPU);
+  const auto mesh = face_mesh(1.0);
+  TalkerOptions chosen = options();
+  chosen.motion = "facetalk";
+  try {
+    without.animate(hum(0.5), mesh, chosen);
+    FAIL();
+  } catch (const std::invalid_argument& error) {
+    EXPECT_NE(std::string(error.what()).find("facetalk/"), std::string::npos);
+  }
+  facetalk::FaceTalkOptions small;
+  small.code_dim = 4;
+  small.audio_dim = 32;
+  small.d_model = 16;
+  small.num_layers = 1;
+  small.num_heads = 2;
+  small.ff_dim = 16;
+  facetalk::FaceTalk denoiser(small);
+  denoiser->set_code_statistics(at::zeros({4}), at::ones({4}), at::zeros({4}),
+                                at::full({4, 204}, 1e-3));
+  TalkerModels models = without.models();
+  models.facetalk = denoiser;
+  const Talker talker(models);
+  const auto by_ats = talker.animate(hum(0.5), mesh, options());
+  Report report;
+  chosen.emotion = "happy";
+  const auto found = talker.animate(hum(0.5), mesh, chosen, {}, &report);
+  EXPECT_EQ(found.num_frames(), by_ats.num_frames());
+  EXPECT_FALSE(torch::equal(found.displacements, by_ats.displacements));
+  ASSERT_FALSE(report.notices.empty());
+  EXPECT_NE(report.notices.back().find("knows no emotions"), std::string::npos);
+  chosen.motion = "voca";
+  EXPECT_THROW(talker.animate(hum(0.5), mesh, chosen), std::invalid_argument);
+
+  core::save_model(dir_ / "facetalk", "freetalk-facetalk", core::options_to_json(small), *denoiser);
+  chosen.motion = "facetalk";
+  const auto loaded = Talker::from_pretrained(dir_, c10::kCPU).animate(hum(0.5), mesh, chosen);
+  EXPECT_TRUE(torch::allclose(loaded.displacements, found.displacements, 1e-4, 1e-6));
+  small.audio_dim = 12;
+  facetalk::FaceTalk deaf(small);
+  core::save_model(dir_ / "facetalk", "freetalk-facetalk", core::options_to_json(small), *deaf);
+  EXPECT_THROW(Talker::from_pretrained(dir_, c10::kCPU), std::runtime_error);
+  fs::remove_all(dir_ / "facetalk");
+}
+
 TEST_F(TalkerTest, BrokenWeightsNameTheFile) {
   EXPECT_THROW(Talker::from_pretrained("/nowhere"), std::runtime_error);
   const auto copy = dir_.string() + "_broken";
