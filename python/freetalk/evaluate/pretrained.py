@@ -150,7 +150,7 @@ class SpeechToMotion:
                 seeds=seeds[first : first + size],
             )
             for clip, motions in zip(chosen, made, strict=True):
-                moved = [_at_rate(motion, self.fps, clip) for motion in motions.cpu().numpy()]
+                moved = [at_rate(motion, self.fps, clip) for motion in motions.cpu().numpy()]
                 yield clip, np.stack(moved)
 
 
@@ -186,7 +186,7 @@ class LandmarksToMesh:
         return self.stm.frame_decoder(features, mesh.operators)
 
 
-def _at_rate(motion: FloatArray, fps: float, clip: MotionSequence) -> FloatArray:
+def at_rate(motion: FloatArray, fps: float, clip: MotionSequence) -> FloatArray:
     """Motion at `fps` as the clip's frames, linear in between."""
     at = np.arange(clip.num_frames) * fps / clip.fps
     return interpolate_frames(motion, at[at <= len(motion) - 1 + 1e-6])

@@ -9,7 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from freetalk.data import parse_spec
-from freetalk.tables.definitions import TABLES, Recipes
+from freetalk.tables.definitions import Recipes
+from freetalk.tables.facetalk import TABLES
 from freetalk.tables.report import write_results
 from freetalk.tables.sets import Catalogue
 from freetalk.tables.sizes import SIZES
@@ -21,7 +22,7 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
     """Makes a table row by row; a call that was killed is called again and goes on.
 
     Args:
-        name: a key of ``freetalk.tables.definitions.TABLES``.
+        name: a key of ``freetalk.tables.facetalk.TABLES``.
         arguments: of the command line; ``None``: the process's.
 
     Returns:
@@ -30,10 +31,15 @@ def main(name: str, arguments: Sequence[str] | None = None) -> int:
     given = _parser(name).parse_args(arguments)
     size = SIZES[given.size]
     catalogue = Catalogue(given.data, size.families, size.counterparts)
-    encoder = [f"ats.task.speech_encoder={given.speech}"] if given.speech else []
+    kinds = ("ats", "facetalk") if given.speech else ()
+    encoder = [f"{kind}.task.speech_encoder={given.speech}" for kind in kinds]
     recipes = Recipes(size, given.seed, [*given.overrides, *encoder])
     table = TABLES[name](recipes, given.settings)
-    if size.name == "full" and not given.speech and any(row.ats for row in table.rows):
+    if (
+        size.name == "full"
+        and not given.speech
+        and any(row.ats or row.facetalk for row in table.rows)
+    ):
         raise SystemExit(
             "at size full the tables need the papers' speech encoder: give --speech DIR"
         )
@@ -87,7 +93,8 @@ def _parser(name: str) -> argparse.ArgumentParser:
         "--settings",
         nargs="*",
         default=[],
-        help="tables 2 and 3: other rows, as '1,2,4,5+3,4,5'; radius: other radii",
+        help="tables 2 and 3: other rows, as '1,2,4,5+3,4,5'; radius: other radii; facetalk_3: targets, "
+        "as weights and head",
     )
     parser.add_argument(
         "--pred",
@@ -107,7 +114,5 @@ def _parser(name: str) -> argparse.ArgumentParser:
         default=0,
         help="trainings of each row, by seed; 3 at size small, else 1 (a claim needs 3 to be decided)",
     )
-    parser.add_argument(
-        "overrides", nargs="*", help="stm.section.key=value and ats.section.key=value"
-    )
+    parser.add_argument("overrides", nargs="*", help="stm.section.key=value, or ats. or facetalk.")
     return parser

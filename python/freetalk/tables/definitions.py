@@ -20,13 +20,15 @@ FUSIONS = ("concat", "ca", "ca_concat", "gcn_ca_concat")
 #: Radii of the band mask, in frames to each side; the last is no mask at all.
 RADII = (0, 1, 3, 10, 1000)
 NEUTRAL = ("VOCASET", "BIWI", "Multiface")
+#: Of trainings.
+KINDS = ("stm", "ats", "facetalk")
 STILL = Row("still face", None, None)
 _PROTOCOL = "Clips of 15 to 30 frames at 10 fps, half of the sequences [supp. 3]."
 _ROUGHNESS = "Roughness: how far the errors of neighbouring vertices of the lips differ, mean over edges and frames."
 
 
 class Recipes:
-    """Trainings of a size with a seed and further overrides, ``stm.section.key=value``.
+    """Trainings of a size with a seed and further overrides, ``KIND.section.key=value``.
 
     Raises:
         ValueError: an override that belongs to no kind of training.
@@ -35,14 +37,15 @@ class Recipes:
     def __init__(self, size: Size, seed: int, overrides: Sequence[str] = ()) -> None:
         self.size = size
         self._overrides: dict[str, tuple[str, ...]] = {}
-        for kind in ("stm", "ats"):
+        for kind in KINDS:
             own = tuple(o.removeprefix(f"{kind}.") for o in overrides if o.startswith(f"{kind}."))
             given = size.overrides.get(kind, ())
             self._overrides[kind] = (*given, f"loop.seed={seed}", *own)
-        strange = [o for o in overrides if not o.startswith(("stm.", "ats.")) or "=" not in o]
+        known = tuple(f"{kind}." for kind in KINDS)
+        strange = [o for o in overrides if not o.startswith(known) or "=" not in o]
         if strange:
             raise ValueError(
-                f"{strange[0]!r}: overrides are stm.section.key=value or ats.section.key=value"
+                f"{strange[0]!r}: overrides are KIND.section.key=value, KIND one of {', '.join(KINDS)}"
             )
 
     def ablation(self, *overrides: str) -> Training:
@@ -56,6 +59,10 @@ class Recipes:
     def ats(self, sets: tuple[str, ...], *overrides: str) -> Training:
         """Audio to landmarks on given sets."""
         return self._training("ats", sets, self.size.ats, overrides)
+
+    def facetalk(self, sets: tuple[str, ...], *overrides: str) -> Training:
+        """Audio to codes on given sets."""
+        return self._training("facetalk", sets, self.size.ats, overrides)
 
     def _training(
         self, kind: str, sets: tuple[str, ...], view: ViewOptions, overrides: Sequence[str]

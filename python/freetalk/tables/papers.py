@@ -1,4 +1,4 @@
-"""Numbers that FreeTalk prints, for the columns beside ours; its units are those of the paper, mostly unstated."""
+"""Numbers that FreeTalk and FaceTalk print, for the columns beside ours; units are the papers', mostly unstated."""
 
 from __future__ import annotations
 
@@ -65,4 +65,29 @@ SUPP_2: dict[str, float] = {
     "ca": 0.0025,
     "ca_concat": 0.0023,
     "gcn_ca_concat": 0.0021,
+}
+
+#: (LSE-D, diversity) of FaceTalk's Table 2 by row.
+FACETALK_2: dict[str, tuple[float, float]] = {
+    "full": (11.2737, 0.34),
+    "no amplitude augmentation": (11.6229, 1.61e-8),
+    "no FiLM": (12.029, 0.006),
+    "no alignment": (13.720, 5.17e-8),
+    "no diffusion": (11.3217, 0.0),
+}
+
+#: LSE-D of FaceTalk's Table 3; its weights are FLAME's.
+FACETALK_3: dict[str, float] = {
+    "weights": 11.6839,
+    "head": 11.2737,
+    "head, no diffusion": 11.3217,
+}
+
+#: (LSE-D, diversity) of FaceTalk's Table 5 by row.
+FACETALK_5: dict[str, tuple[float, float]] = {
+    "input": (12.029, 0.006),
+    "scale_shift": (11.9575, 0.204),
+    "squeeze_excite": (11.7586, 0.029),
+    "dot_product": (12.83, 2.009e-7),
+    "film": (11.2737, 0.340),
 }

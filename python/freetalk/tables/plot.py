@@ -25,9 +25,13 @@ def draw(result: Mapping[str, Any], path: Path) -> None:
     from matplotlib.figure import Figure
 
     rows = [row for row in result["rows"][::-1] if not is_still(row)] or result["rows"][::-1]
-    groups = result["groups"]
+    groups, first = result["groups"], result["metrics"][0]["metric"]
     panels = [(group, False) for group in groups]
-    panels += [(group, True) for group in groups if any(row["paper"].get(group) for row in rows)]
+    panels += [
+        (group, True)
+        for group in groups
+        if any(first in row["paper"].get(group, {}) for row in rows)
+    ]
     size = (2.2 + 2.6 * len(panels), 1.2 + 0.34 * len(rows))
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)

@@ -14,7 +14,7 @@ from freetalk.evaluate.clusters import cluster_means, clusters_of
 from freetalk.evaluate.writers import number
 from freetalk.tables.claims import MIN_SEEDS, judge, origins_of
 from freetalk.tables.plot import draw, is_still
-from freetalk.tables.scoring import pooling_of, title_of, unit_of
+from freetalk.tables.scoring import DIVERSITY, pooling_of, title_of, unit_of
 from freetalk.tables.sets import Catalogue
 from freetalk.tables.sizes import Size
 from freetalk.tables.table import RowResult, Table
@@ -127,7 +127,7 @@ def _heading(result: Mapping[str, Any]) -> str:
         f"- scored on {', '.join(result['tests'])}: test split, faces and meshings that no row was trained on"
         if result["is_open"]
         else f"- scored on {', '.join(result['tests'])}: test split",
-        "- [low, high]: 95 % bootstrap interval (BCa) over the test split's speakers, or its takes where there are few; lower is better, FDD nearer to 0",
+        "- [low, high]: 95 % bootstrap interval (BCa) over the test split's speakers, or its takes where there are few; lower is better, FDD nearer to 0, diversity higher",
         *(f"- {note}" for note in result["notes"]),
     ]
     return lines[0] + "\n\n" + "\n".join(lines[1:])
@@ -303,7 +303,7 @@ def _single_paper_metric(result: Mapping[str, Any], group: str) -> dict[str, str
 
 
 def _best(result: Mapping[str, Any], group: str) -> dict[str, str]:
-    """The row with the least mean of each metric, among those that predict something."""
+    """The row with the best mean of each metric, among those that predict something."""
     best = {}
     for m in result["metrics"]:
         means = {
@@ -312,7 +312,8 @@ def _best(result: Mapping[str, Any], group: str) -> dict[str, str]:
             if m["metric"] in row["scores"][group] and not is_still(row)
         }
         if len(means) > 1:
-            best[m["metric"]] = min(means, key=lambda name: means[name])
+            choose = max if m["metric"] == DIVERSITY else min
+            best[m["metric"]] = choose(means, key=lambda name: means[name])
     return best
 
 

@@ -14,6 +14,7 @@ from tqdm import tqdm
 from freetalk import metrics
 from freetalk.data import Dataset, FaceMesh, MotionSequence
 from freetalk.evaluate.dataset_truth import origin_of
+from freetalk.evaluate.facetalk import SpeechToCodes
 from freetalk.evaluate.masks import landmark_masks
 from freetalk.evaluate.metric_specs import spec_of
 from freetalk.evaluate.motion_files import Origin
@@ -26,6 +27,11 @@ Masks = Mapping[str, torch.Tensor]
 
 #: How much the error of neighbouring vertices of the lips differs: what makes a surface look noisy.
 ROUGHNESS = "roughness"
+#: How far codes that are generated for the same speech lie apart [FaceTalk Eq. 20]; more is better.
+DIVERSITY = "diversity"
+_OWN = {ROUGHNESS: ("mm", "frames"), DIVERSITY: ("1", "sequences")}
+#: Samples of a clip that :data:`DIVERSITY` compares.
+_SAMPLES = 4
 
 
 @dataclass
@@ -60,17 +66,17 @@ class ClipScores:
 
 def unit_of(metric: str) -> str:
     """Unit that a metric is printed in."""
-    return "mm" if metric == ROUGHNESS else spec_of(metric).unit
+    return _OWN[metric][0] if metric in _OWN else spec_of(metric).unit
 
 
 def title_of(metric: str) -> str:
     """How tables call a metric."""
-    return "roughness" if metric == ROUGHNESS else spec_of(metric).title
+    return metric if metric in _OWN else spec_of(metric).title
 
 
 def pooling_of(metric: str) -> str:
     """What a test set's number is the mean over: ``frames`` or ``sequences``."""
-    return "frames" if metric == ROUGHNESS else spec_of(metric).pooling
+    return _OWN[metric][1] if metric in _OWN else spec_of(metric).pooling
 
 
 def values_of(
@@ -113,6 +119,7 @@ def lip_edges(faces: npt.NDArray[np.int64], lips: npt.NDArray[np.bool_]) -> torc
 def still_face(view: Dataset, names: Sequence[str], on_landmarks: bool) -> ClipScores:
     """Scores of a face that does not move, which numbers are read against."""
     scores = ClipScores()
+    names = [name for name in names if name != DIVERSITY]
     for clip, identity, topology in faces_of(view, "test"):
         if on_landmarks:
             masks, true = _landmark_masks(), torch.from_numpy(view.landmarks(clip))
@@ -172,7 +179,20 @@ def landmark_scores(
     return scores
 
 
-def spoken(model: SpeechToMotion, view: Dataset) -> dict[str, FloatArray]:
+def code_scores(model: SpeechToCodes, view: Dataset, names: Sequence[str]) -> ClipScores:
+    """Scores of the landmarks that the codes of the test clips move, and of how codes vary from seed to seed."""
+    on_landmarks = [name for name in names if name != DIVERSITY]
+    made = spoken(model, view)
+    scores = landmark_scores(view, on_landmarks, lambda clip: made[clip.id])
+    if DIVERSITY in names:
+        values = scores.values.setdefault(DIVERSITY, {})
+        for clip in tqdm(view.sequences("test"), desc=f"vary {view.name}", leave=False):
+            codes = model.codes(model.heard(view, clip), range(_SAMPLES))
+            values[clip.id] = float(metrics.diversity(codes[None])[0])
+    return scores
+
+
+def spoken(model: SpeechToMotion | SpeechToCodes, view: Dataset) -> dict[str, FloatArray]:
     """Landmarks (T, 68, 3) m of the test clips from their sound, each with a seed of its own."""
     clips = view.sequences("test")
     made = model.perform(view, clips, [[seed] for seed in range(len(clips))])

@@ -56,7 +56,7 @@ _TINY_VIEW = ViewOptions(
 )
 TINY = Size(
     name="tiny",
-    configs={"stm": "stm_smoke", "ats": "ats_smoke"},
+    configs={"stm": "stm_smoke", "ats": "ats_smoke", "facetalk": "facetalk_smoke"},
     overrides={
         "stm": (
             "loop.max_steps=2",
@@ -77,6 +77,13 @@ TINY = Size(
             "task.feature_augmentations=0",
             "task.validation_windows=2",
             "model.band_radius=3",
+        ),
+        "facetalk": (
+            "loop.max_steps=2",
+            "loop.validate_every=0",
+            "loop.threads=1",
+            "task.validation_windows=2",
+            "task.validation_samples=1",
         ),
     },
     ablation=_TINY_VIEW,
@@ -104,7 +111,7 @@ _SMALL_VIEW = ViewOptions(
 )
 SMALL = Size(
     name="small",
-    configs={"stm": "table_stm", "ats": "table_ats"},
+    configs={"stm": "table_stm", "ats": "table_ats", "facetalk": "table_facetalk"},
     overrides={},
     ablation=_SMALL_VIEW,
     stm=_SMALL_VIEW,
@@ -121,8 +128,12 @@ SMALL = Size(
 
 FULL = Size(
     name="full",
-    configs={"stm": "stm_paper", "ats": "ats_paper"},
-    overrides={"stm": ("task.num_meshes=240",), "ats": ("model.fps=30",)},
+    configs={"stm": "stm_paper", "ats": "ats_paper", "facetalk": "facetalk_paper"},
+    overrides={
+        "stm": ("task.num_meshes=240",),
+        "ats": ("model.fps=30",),
+        "facetalk": ("task.targets=weights",),
+    },
     ablation=ViewOptions(fps=10.0, clip_frames=30, min_frames=15, every=2),
     stm=ViewOptions(),
     ats=ViewOptions(),

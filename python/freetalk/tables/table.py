@@ -17,6 +17,7 @@ from freetalk._files import content_hash, write_json
 from freetalk.data import Dataset, MotionSequence
 from freetalk.evaluate import PredictionSettings, score_predictions
 from freetalk.evaluate.dataset_truth import DatasetTruth
+from freetalk.evaluate.facetalk import SpeechToCodes
 from freetalk.evaluate.metric_specs import spec_of
 from freetalk.evaluate.pretrained import LandmarksToMesh, SpeechToMotion
 from freetalk.tables.claims import Claim
@@ -24,6 +25,7 @@ from freetalk.tables.scoring import (
     ROUGHNESS,
     ClipScores,
     FloatArray,
+    code_scores,
     encoder_folder,
     landmark_scores,
     mesh_scores,
@@ -50,12 +52,14 @@ class Row:
         ats: of the audio-to-landmarks stage; ``None`` moves meshes by true landmarks. A row without
             either is a face that does not move.
         paper: what the paper prints, by dataset (``all`` for one number) and metric.
+        facetalk: of FaceTalk's denoiser, in place of both stages; its landmarks are scored.
     """
 
     name: str
     stm: Training | None
     ats: Training | None
     paper: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    facetalk: Training | None = None
 
     def again(self, seed: int) -> Row:
         """The same row trained with another seed."""
@@ -65,7 +69,14 @@ class Row:
                 return None
             return replace(training, overrides=(*training.overrides, f"loop.seed={seed}"))
 
-        return Row(f"{self.name}, seed {seed}", seeded(self.stm), seeded(self.ats), self.paper)
+        name = f"{self.name}, seed {seed}"
+        trainings = seeded(self.stm), seeded(self.ats), self.paper, seeded(self.facetalk)
+        return Row(name, *trainings)
+
+    def trainings(self) -> dict[str, Training]:
+        """What is trained for it, by kind."""
+        kinds = {"stm": self.stm, "ats": self.ats, "facetalk": self.facetalk}
+        return {kind: training for kind, training in kinds.items() if training is not None}
 
 
 @dataclass(frozen=True)
@@ -149,7 +160,7 @@ class TableRun:
             for row in wanted:
                 if turn == 0:
                     runs[row.name].append(self._row(row))
-                elif row.stm is not None or row.ats is not None:
+                elif row.trainings():
                     runs[row.name].append(self._row(row.again(seed)))
         return [merged(name, own) for name, own in runs.items()]
 
@@ -208,8 +219,7 @@ class TableRun:
         tqdm.write(f"{self.table.name}: {row.name}", file=sys.stderr)
         trained = {
             kind: train(training, self.catalogue, self.work)
-            for kind, training in (("stm", row.stm), ("ats", row.ats))
-            if training is not None
+            for kind, training in row.trainings().items()
         }
         began = time.perf_counter()
         scores = {name: self._scores(row, trained, view) for name, view in self._views.items()}
@@ -230,6 +240,10 @@ class TableRun:
         names = self.table.metrics
         if not trained:
             return still_face(view, names, all(one.stm is None for one in self.table.rows))
+        if "facetalk" in trained:
+            where, encoder = trained["facetalk"].directory, encoder_folder(self._encoder)
+            model = SpeechToCodes(encoder, where, self._sampler, self._device)
+            return code_scores(model, view, names)
         made = self._spoken(trained["ats"].directory, view) if "ats" in trained else None
 
         def landmarks(clip: MotionSequence) -> FloatArray:
@@ -255,13 +269,14 @@ class TableRun:
         return self.work / "rows" / self.table.name / f"{name}-{self._key(row)}.json"
 
     def _key(self, row: Row) -> str:
+        hears = row.ats is not None or row.facetalk is not None
         content = {
             "version": _VERSION,
-            "trainings": [t.key(self.catalogue) for t in (row.stm, row.ats) if t is not None],
+            "trainings": [t.key(self.catalogue) for t in row.trainings().values()],
             "tests": {name: view.fingerprint for name, view in self._views.items()},
             "metrics": list(self.table.metrics),
-            "sampler": self._sampler if row.ats is not None else {},
-            "encoder": "" if row.ats is None else content_hash(encoder_folder(self._encoder)),
+            "sampler": self._sampler if hears else {},
+            "encoder": content_hash(encoder_folder(self._encoder)) if hears else "",
         }
         text = json.dumps(content, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:12]

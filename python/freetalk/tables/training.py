@@ -15,7 +15,7 @@ from freetalk.tables.sets import Catalogue
 from freetalk.tables.views import ViewOptions
 from freetalk.train.config import load_config
 from freetalk.train.run import train_dataset
-from freetalk.train.task_options import AtsTaskOptions
+from freetalk.train.task_options import AtsTaskOptions, FaceTalkTaskOptions
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Training:
     """What is trained, on what.
 
     Attributes:
-        kind: ``ats`` or ``stm``.
+        kind: ``ats``, ``stm`` or ``facetalk``.
         sets: names of the datasets.
         view: what of them.
         config: name or path of the configuration.
@@ -42,7 +42,7 @@ class Training:
         data = catalogue.mixture(self.sets, self.view).fingerprint
         task = config.task
         encoder = ""
-        if isinstance(task, AtsTaskOptions):
+        if isinstance(task, AtsTaskOptions | FaceTalkTaskOptions):
             encoder = content_hash(encoder_folder(task.speech_encoder))
         described = [self.kind, config.to_dict(), data, encoder]
         content = json.dumps(described, sort_keys=True)
@@ -79,7 +79,7 @@ def train(training: Training, catalogue: Catalogue, work: Path) -> Trained:
     done = out / "done.json"
     if done.is_file():
         return Trained(out / training.kind, key, json.loads(done.read_text()))
-    overrides = [f"task.feature_cache={work / 'features'}"] if training.kind == "ats" else []
+    overrides = [f"task.feature_cache={work / 'features'}"] if training.kind != "stm" else []
     config = load_config(training.kind, training.config, [*training.overrides, *overrides])
     corpus = catalogue.mixture(training.sets, training.view)
     began = time.perf_counter()
