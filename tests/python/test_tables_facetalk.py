@@ -54,7 +54,7 @@ def test_rows_are_trained_and_judged(corpus: Path, tmp_path: Path) -> None:
     expected = float(metrics.diversity(codes[None])[0])
     found = run["clips"]["BIWI"]["values"]["diversity"][clip.id]
     assert found == pytest.approx(expected, rel=1e-3)
-    pairs = [torch.linalg.norm(codes[j] - codes[l]) for j in range(4) for l in range(4) if j != l]
+    pairs = [torch.linalg.norm(codes[j] - codes[k]) for j in range(4) for k in range(4) if j != k]
     assert expected == pytest.approx(float(sum(pairs)) / 4, rel=1e-5)
 
 
