@@ -374,3 +374,18 @@ def test_what_a_table_lacks_is_named(corpus: Path, tmp_path: Path) -> None:
         main("table_2", ["--size=tiny", f"--data=MEAD-EMOTE={unmasked}", "--settings", "2+2"])
     with pytest.raises(ValueError, match="sideways"):
         main("supp_2", ["--size=tiny", *neutral_sets(corpus), "--rows", "sideways"])
+
+
+def test_a_clip_at_another_rate_is_the_same_moment(corpus: Path) -> None:
+    view = view_of(open_dataset(corpus), "part", ViewOptions(clip_frames=23, min_frames=8))
+    clip = next(s for s in view.sequences("train") if s.offset == 23 and s.has_sound)
+    (slower,) = view.select([clip]).at(24.0).sequences()
+    assert slower.offset == 19 and slower.num_frames == 18  # ceil(18.4) ... floor(36)
+    base = open_dataset(corpus)
+    take = next(s for s in base.sequences() if s.id == clip.name)
+    whole = resample_frames(base.landmarks(take), clip.fps, slower.fps)
+    found = view.at(24.0).landmarks(slower)
+    np.testing.assert_allclose(found, whole[19:37], atol=1e-6)
+    skipped = round((19 / 24 - 23 / 30) * 16000)
+    assert slower.first_sample == clip.first_sample + skipped
+    np.testing.assert_array_equal(view.audio(slower), view.audio(clip)[skipped:])

@@ -18,7 +18,6 @@ from freetalk.data.emotions import EMOTIONS
 from freetalk.data.errors import DatasetError
 from freetalk.data.pack import FULL_SCALE, SAMPLE_RATE_HZ, FloatArray, Pack
 from freetalk.data.pose import Pose
-from freetalk.data.resampling import frames_at
 from freetalk.data.sequences import FaceMesh, MotionSequence, read_frames, sequences_of
 from freetalk.data.splits import SPLITS
 
@@ -280,13 +279,7 @@ class Dataset:
 
     def at(self, fps: float) -> Dataset:
         """The same data at a frame rate: landmarks and vertices are resampled as they are read."""
-        changed = [
-            s
-            if s.fps == fps
-            else dataclasses.replace(s, fps=fps, num_frames=frames_at(s.num_frames, s.fps, fps))
-            for s in self._sequences
-        ]
-        return self.select(changed)
+        return self.select([s.at(fps) for s in self._sequences])
 
     def select(
         self,

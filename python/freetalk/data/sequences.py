@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -18,6 +19,8 @@ from freetalk.data.splits import SPLITS
 BoolArray = npt.NDArray[np.bool_]
 #: Takes that are kept after they were resampled.
 _KEPT = 32
+#: Frame numbers this close to a whole one count as it: they come from divisions.
+_WHOLE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,23 @@ class MotionSequence:
     def has_sound(self) -> bool:
         """Whether anything was recorded."""
         return self.num_samples > 0
+
+    def at(self, fps: float) -> MotionSequence:
+        """The same at another frame rate; a clip begins with the first of its new frames, and its sound with it."""
+        if fps == self.fps:
+            return self
+        offset = math.ceil(self.offset * fps / self.fps - _WHOLE)
+        late = offset / fps - self.offset / self.fps  # s
+        last = (self.offset + self.num_frames - 1) / self.fps
+        skipped = min(round(late * SAMPLE_RATE_HZ), self.num_samples)
+        return dataclasses.replace(
+            self,
+            fps=fps,
+            offset=offset,
+            num_frames=max(1, math.floor(last * fps + _WHOLE) + 1 - offset),
+            first_sample=self.first_sample + skipped,
+            num_samples=self.num_samples - skipped,
+        )
 
     def clip(self, name: str, first: int, num_frames: int) -> MotionSequence:
         """Frames [first, first + num_frames) as a sequence of its own."""

@@ -191,8 +191,10 @@ def _seed_spread(claim: Claim, rows: Mapping[str, Mapping[str, Any]]) -> tuple[f
     """Pooled standard deviation of a row's mean over its runs, as a share; its degrees of freedom."""
     squares, degrees = 0.0, 0
     for row in rows.values():
+        if len(row["runs"]) < 2:
+            continue
         means = [_mean(run, claim) for run in row["runs"]]
-        if len(means) > 1:
+        if np.mean(means) != 0:  # of zero there is no share
             squares += (len(means) - 1) * float(np.var(means, ddof=1)) / float(np.mean(means)) ** 2
             degrees += len(means) - 1
     return (math.sqrt(squares / degrees), degrees) if degrees else (0.0, 0)
