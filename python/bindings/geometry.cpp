@@ -6,9 +6,11 @@
 #include "bind_options.h"
 #include "freetalk/geometry/alignment.h"
 #include "freetalk/geometry/eigenbasis.h"
+#include "freetalk/geometry/isosurface.h"
 #include "freetalk/geometry/operators.h"
 #include "freetalk/geometry/poisson.h"
 #include "freetalk/geometry/robust_laplacian.h"
+#include "freetalk/geometry/signed_distance.h"
 #include "freetalk/geometry/surface.h"
 
 namespace {
@@ -212,6 +214,57 @@ void bind_eigenbasis(py::module_& m) {
         "The smallest eigenpairs of L phi = lambda M phi.");
 }
 
+void bind_isosurface(py::module_& m) {
+  using Surface = std::pair<Eigen::MatrixXd, Eigen::MatrixXi>;
+  const auto arrays = [](geometry::Isosurface&& surface) {
+    return Surface(std::move(surface.vertices), std::move(surface.faces));
+  };
+  m.def(
+      "isosurface",
+      [arrays](const py::array_t<float, py::array::c_style | py::array::forcecast>& values,
+               double level, const Eigen::Vector3d& origin, const Eigen::Vector3d& spacing) {
+        if (values.ndim() != 3) throw py::value_error("values must have the shape (X, Y, Z)");
+        const float* data = values.data();
+        const std::array<int64_t, 3> shape{values.shape(0), values.shape(1), values.shape(2)};
+        const py::gil_scoped_release release;
+        return arrays(geometry::isosurface(data, shape, {level, origin, spacing}));
+      },
+      py::arg("values"), py::kw_only(), py::arg("level") = 0.0,
+      py::arg("origin") = Eigen::Vector3d(Eigen::Vector3d::Zero()),
+      py::arg("spacing") = Eigen::Vector3d(Eigen::Vector3d::Ones()),
+      "(V, 3) vertices and (F, 3) faces of a level of a field (X, Y, Z).");
+  m.def(
+      "isosurface_of_cells",
+      [arrays](const Eigen::MatrixXd& corners, const Eigen::VectorXf& values,
+               const geometry::CellCorners& cells, double level) {
+        return arrays(geometry::isosurface_of_cells(corners, values, cells, level));
+      },
+      py::arg("corners"), py::arg("values"), py::kw_only(), py::arg("cells"),
+      py::arg("level") = 0.0, NoGil(),
+      "(V, 3) vertices and (F, 3) faces of a level of a field within chosen cells.");
+}
+
+void bind_surface_tree(py::module_& m) {
+  using geometry::SurfaceTree;
+  py::class_<SurfaceTree>(m, "SurfaceTree", "A triangle mesh made ready for nearest points.")
+      .def(py::init<const Eigen::MatrixXd&, const Eigen::MatrixXi&>(), py::arg("vertices"),
+           py::arg("faces"), NoGil())
+      .def(
+          "nearest",
+          [](const SurfaceTree& self, const Eigen::MatrixXd& points) {
+            auto found = self.nearest(points);
+            return std::make_tuple(std::move(found.points), std::move(found.distances),
+                                   std::move(found.faces));
+          },
+          py::arg("points"), NoGil(),
+          "(N, 3) nearest points of the surface, (N,) distances, (N,) faces.")
+      .def("winding_number", &SurfaceTree::winding_number, py::arg("points"), py::kw_only(),
+           py::arg("accuracy") = 2.0, NoGil(),
+           "(N,) how often the surface winds around each point.")
+      .def("signed_distance", &SurfaceTree::signed_distance, py::arg("points"), NoGil(),
+           "(N,) distance, negative where the winding number is at least 1/2.");
+}
+
 void bind_alignment(py::module_& m) {
   freetalk::bindings::bind_options<geometry::AlignOptions>(m, "AlignOptions",
                                                            "What is known of a mesh's frame.");
@@ -268,5 +321,7 @@ void bind_geometry(py::module_& m) {
   bind_face_operators(m);
   bind_operators(m);
   bind_eigenbasis(m);
+  bind_isosurface(m);
+  bind_surface_tree(m);
   bind_alignment(m);
 }

@@ -3,6 +3,7 @@
 #include <torch/extension.h>
 
 #include "freetalk/core/error.h"
+#include "freetalk/mesh/close_holes.h"
 #include "freetalk/mesh/components.h"
 #include "freetalk/mesh/mesh.h"
 #include "freetalk/mesh/normals.h"
@@ -91,10 +92,25 @@ void bind_normals(py::module_& m) {
         py::arg("faces"), NoGil(), "(V,) component of each vertex.");
 }
 
+void bind_holes(py::module_& m) {
+  m.def("boundary_loops", &mesh::boundary_loops, py::arg("polygons"), NoGil(),
+        "The simple loops of edges of one polygon only, as vertices in the polygons' direction.");
+  m.def(
+      "close_holes",
+      [](const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces, int64_t max_edges) {
+        auto closed = mesh::close_holes(vertices, faces, max_edges);
+        return std::make_tuple(std::move(closed.vertices), std::move(closed.faces), closed.left);
+      },
+      py::arg("vertices"), py::arg("faces"), py::kw_only(),
+      py::arg("max_edges") = std::numeric_limits<int64_t>::max(), NoGil(),
+      "(V + H, 3) vertices, (F', 3) faces and the number of edges that stay open.");
+}
+
 }  // namespace
 
 void bind_mesh(py::module_& m) {
   bind_mesh_class(m);
   bind_mesh_report(m);
   bind_normals(m);
+  bind_holes(m);
 }

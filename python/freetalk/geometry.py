@@ -26,6 +26,7 @@ OperatorOptions = _native.OperatorOptions
 Similarity = _native.Similarity
 SparseOperator = _native.SparseOperator
 SurfaceOperators = _native.SurfaceOperators
+SurfaceTree = _native.SurfaceTree
 
 __all__ = [
     "AlignOptions",
@@ -37,15 +38,19 @@ __all__ = [
     "Similarity",
     "SparseOperator",
     "SurfaceOperators",
+    "SurfaceTree",
     "align_to_template",
     "concatenate",
     "cotan_laplacian",
     "default_cache_dir",
     "eigenbasis",
+    "isosurface",
+    "isosurface_of_cells",
     "lumped_mass",
     "point_cloud_laplacian",
     "robust_laplacian",
     "sample_template",
+    "signed_distance",
     "surface_operators",
     "unique_edges",
 ]
@@ -263,3 +268,83 @@ def align_to_template(
         template_normals=as_array(template_normals, np.float64),
         options=AlignOptions(unit=unit, up=up, forward=forward),
     )
+
+
+def isosurface(
+    values: ArrayLike | torch.Tensor,
+    *,
+    level: float = 0.0,
+    origin: ArrayLike = (0.0, 0.0, 0.0),
+    spacing: ArrayLike = (1.0, 1.0, 1.0),
+) -> tuple[NDArray, NDArray]:
+    """The surface of a level of a field on a regular grid, by marching cubes.
+
+    The mesh is manifold; its only borders lie on the grid's. Faces turn towards larger values: outward for a signed
+    distance that is negative inside. The result has the same bits for any number of threads.
+
+    Args:
+        values: (X, Y, Z) of the field, float32; NaN counts as above the level.
+        level: the value of the surface.
+        origin: (3,) place of ``values[0, 0, 0]``.
+        spacing: (3,) between neighbours of each axis.
+
+    Returns:
+        vertices (V, 3) float64 and faces (F, 3) int32.
+
+    Raises:
+        ValueError: another shape, fewer than two values along an axis, spacing that is not positive.
+    """
+    return _native.isosurface(
+        as_array(values, np.float32),
+        level=level,
+        origin=as_array(origin, np.float64),
+        spacing=as_array(spacing, np.float64),
+    )
+
+
+def isosurface_of_cells(
+    corners: ArrayLike | torch.Tensor,
+    values: ArrayLike | torch.Tensor,
+    cells: ArrayLike | torch.Tensor,
+    *,
+    level: float = 0.0,
+) -> tuple[NDArray, NDArray]:
+    """The surface of a level of a field within chosen cells of one grid, as an octree leaves them.
+
+    Args:
+        corners: (P, 3) places, each once.
+        values: (P,) of the field there, float32.
+        cells: (N, 8) rows of ``corners``, corner 4 x + 2 y + z at the lower (0) or upper (1) side of each axis.
+        level: the value of the surface.
+
+    Returns:
+        vertices (V, 3) float64 and faces (F, 3) int32; cells that cross the level and are left out leave a border.
+
+    Raises:
+        ValueError: other shapes, rows out of range.
+    """
+    return _native.isosurface_of_cells(
+        as_array(corners, np.float64),
+        as_array(values, np.float32),
+        cells=as_array(cells, np.int32),
+        level=level,
+    )
+
+
+def signed_distance(
+    vertices: ArrayLike | torch.Tensor,
+    faces: ArrayLike | torch.Tensor,
+    points: ArrayLike | torch.Tensor,
+) -> NDArray:
+    """(N,) distances of points to a mesh, negative where its winding number is at least 1/2.
+
+    Args:
+        vertices: (V, 3).
+        faces: (F, 3) triangles, outward.
+        points: (N, 3). For points in several calls, keep a ``SurfaceTree``.
+
+    Raises:
+        ValueError: no faces, indices out of range, values that are not finite.
+    """
+    tree = SurfaceTree(as_array(vertices, np.float64), as_array(faces, np.int32))
+    return tree.signed_distance(as_array(points, np.float64))

@@ -21,6 +21,8 @@ MeshReport = _native.MeshReport
 __all__ = [
     "Mesh",
     "MeshReport",
+    "boundary_loops",
+    "close_holes",
     "connected_components",
     "face_areas",
     "load_mesh",
@@ -29,6 +31,7 @@ __all__ = [
     "vertex_normals",
 ]
 
+boundary_loops = _native.boundary_loops
 mesh_report = _native.mesh_report
 
 
@@ -75,3 +78,25 @@ def face_areas(vertices: ArrayLike | torch.Tensor, faces: ArrayLike | torch.Tens
 def connected_components(num_vertices: int, faces: ArrayLike | torch.Tensor) -> NDArray:
     """(V,) component of each vertex; an unreferenced vertex is one of its own."""
     return _native.connected_components(num_vertices, as_array(faces, np.int32))
+
+
+def close_holes(
+    vertices: ArrayLike | torch.Tensor,
+    faces: ArrayLike | torch.Tensor,
+    *,
+    max_edges: int = np.iinfo(np.int64).max,
+) -> tuple[NDArray, NDArray, int]:
+    """Closes holes by fans around their middles, which suits rims that are about star-shaped.
+
+    Args:
+        vertices: (V, 3).
+        faces: (F, 3) triangles.
+        max_edges: holes of more edges stay open.
+
+    Returns:
+        vertices (V + H, 3) with the middle of each closed hole last, faces (F', 3) with the lids last, and the number
+        of edges that still have one triangle only.
+    """
+    return _native.close_holes(
+        as_array(vertices, np.float64), as_array(faces, np.int32), max_edges=max_edges
+    )

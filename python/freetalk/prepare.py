@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from freetalk.mesh import Mesh, connected_components
+from freetalk.mesh import Mesh, boundary_loops, connected_components
 
 #: A part with less than this share of the polygons floats beside the face by mistake.
 FLOATING = 0.002
@@ -182,25 +182,6 @@ def _volume(
 
 def _rims(polygons: list[Polygon], place: NDArray[np.int64]) -> list[Polygon]:
     """Simple loops of boundary edges, as vertices in the direction of their polygons."""
-    count: dict[tuple[int, int], int] = defaultdict(int)
-    vertex_at: dict[int, int] = {}
-    for polygon in polygons:
-        vertex_at |= {int(place[vertex]): vertex for vertex in polygon}
-        for a, b in _directed(polygon, place):
-            count[min(a, b), max(a, b)] += 1
-    onward: dict[int, list[int]] = defaultdict(list)
-    for polygon in polygons:
-        for a, b in _directed(polygon, place):
-            if count[min(a, b), max(a, b)] == 1:
-                onward[a].append(b)
-    loops, done = [], set()
-    for start in onward:
-        loop, at = [start], start
-        while at not in done and len(onward[at]) == 1 and len(loop) <= len(onward):
-            done.add(at)
-            at = onward[at][0]
-            if at == start:
-                loops.append([vertex_at[place_] for place_ in loop])
-                break
-            loop.append(at)
-    return loops
+    at = [[int(place[vertex]) for vertex in polygon] for polygon in polygons]
+    vertex_at = {place_: vertex for p, q in zip(at, polygons) for place_, vertex in zip(p, q)}
+    return [[vertex_at[place_] for place_ in loop] for loop in boundary_loops(at)]

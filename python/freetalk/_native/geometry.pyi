@@ -17,12 +17,15 @@ __all__: list[str] = [
     "Similarity",
     "SparseOperator",
     "SurfaceOperators",
+    "SurfaceTree",
     "align_to_template",
     "cached_surface_operators",
     "concatenate",
     "cotan_laplacian",
     "eigenbasis",
     "face_operators",
+    "isosurface",
+    "isosurface_of_cells",
     "lumped_mass",
     "point_cloud_laplacian",
     "robust_laplacian",
@@ -247,6 +250,41 @@ class Eigenbasis:
         (K,) relative eigen-residuals.
         """
 
+class SurfaceTree:
+    """
+    A triangle mesh made ready for nearest points.
+    """
+    def __init__(
+        self,
+        vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
+        faces: typing.Annotated[numpy.typing.ArrayLike, numpy.int32, "[m, n]"],
+    ) -> None: ...
+    def nearest(
+        self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"]
+    ) -> tuple[
+        typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"],
+        typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"],
+        typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, 1]"],
+    ]:
+        """
+        (N, 3) nearest points of the surface, (N,) distances, (N,) faces.
+        """
+    def signed_distance(
+        self, points: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"]
+    ) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        (N,) distance, negative where the winding number is at least 1/2.
+        """
+    def winding_number(
+        self,
+        points: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
+        *,
+        accuracy: typing.SupportsFloat | typing.SupportsIndex = 2.0,
+    ) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
+        """
+        (N,) how often the surface winds around each point.
+        """
+
 class AlignOptions:
     """
     What is known of a mesh's frame.
@@ -397,6 +435,34 @@ def face_operators(
 ) -> FaceOperators:
     """
     Gradients on the faces of a mesh and its Poisson solver, float64.
+    """
+
+def isosurface(
+    values: typing.Annotated[numpy.typing.ArrayLike, numpy.float32],
+    *,
+    level: typing.SupportsFloat | typing.SupportsIndex = 0.0,
+    origin: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ...,
+    spacing: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"] = ...,
+) -> tuple[
+    typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"],
+    typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, n]"],
+]:
+    """
+    (V, 3) vertices and (F, 3) faces of a level of a field (X, Y, Z).
+    """
+
+def isosurface_of_cells(
+    corners: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
+    values: typing.Annotated[numpy.typing.ArrayLike, numpy.float32, "[m, 1]"],
+    *,
+    cells: typing.Annotated[numpy.typing.ArrayLike, numpy.int32, "[m, 8]"],
+    level: typing.SupportsFloat | typing.SupportsIndex = 0.0,
+) -> tuple[
+    typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"],
+    typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, n]"],
+]:
+    """
+    (V, 3) vertices and (F, 3) faces of a level of a field within chosen cells.
     """
 
 def lumped_mass(

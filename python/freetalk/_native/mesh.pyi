@@ -8,6 +8,8 @@ import typing
 __all__: list[str] = [
     "Mesh",
     "MeshReport",
+    "boundary_loops",
+    "close_holes",
     "connected_components",
     "face_areas",
     "load_mesh",
@@ -162,6 +164,29 @@ class MeshReport:
     def vertices(self) -> int: ...
     @property
     def zero_area_triangles(self) -> int: ...
+
+def boundary_loops(
+    polygons: collections.abc.Sequence[
+        collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex]
+    ],
+) -> list[list[int]]:
+    """
+    The simple loops of edges of one polygon only, as vertices in the polygons' direction.
+    """
+
+def close_holes(
+    vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
+    faces: typing.Annotated[numpy.typing.ArrayLike, numpy.int32, "[m, n]"],
+    *,
+    max_edges: typing.SupportsInt | typing.SupportsIndex = 9223372036854775807,
+) -> tuple[
+    typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"],
+    typing.Annotated[numpy.typing.NDArray[numpy.int32], "[m, n]"],
+    int,
+]:
+    """
+    (V + H, 3) vertices, (F', 3) faces and the number of edges that stay open.
+    """
 
 def connected_components(
     num_vertices: typing.SupportsInt | typing.SupportsIndex,
