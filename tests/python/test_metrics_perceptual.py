@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from freetalk import metrics
-from freetalk.evaluate import surface_distances
+from freetalk.evaluate import surface_distances, surface_scores
 
 
 def opening(frames: int, seed: int) -> np.ndarray:
@@ -127,7 +127,6 @@ def test_distances_of_other_meshings_are_those_of_libigl() -> None:
         for p, v, f in ((a, b, b_faces), (b, a, a_faces))
     ]
     one, other = (np.sqrt(np.asarray(own)) for own in squared)
-    # VTK keeps points in float64 here; both find the nearest point of the nearest triangle.
     assert found.point_to_surface[0] == pytest.approx((one.mean() + other.mean()) / 2, rel=1e-6)
     assert found.hausdorff[0] == pytest.approx(max(one.max(), other.max()), rel=1e-6)
     gaps = np.linalg.norm(a[:, None] - b[None], axis=-1)
@@ -155,3 +154,30 @@ def test_frames_and_shapes_of_surfaces_must_fit() -> None:
         surface_distances(np.stack([vertices] * 2), faces, vertices[None], faces)
     with pytest.raises(ValueError, match=r"pred is \(25, 3\)"):
         surface_distances(vertices, faces, vertices[None], faces)
+
+
+def test_a_shifted_surface_scores_its_shift() -> None:
+    plane = dome(3)
+    flat = plane[0] * [1, 1, 0], plane[1]
+    scores = surface_scores(
+        (flat[0] + [0, 0, 0.002], flat[1]), flat, thresholds=(0.001, 0.003), num_points=20_000
+    )
+    assert scores.point_to_surface == pytest.approx(0.002)
+    assert 0.002 < scores.chamfer_l1 < 0.0023
+    assert scores.normal_consistency == pytest.approx(1)
+    assert scores.f_scores[0.001] == 0 and scores.f_scores[0.003] > 0.99
+    same = surface_scores(flat, flat, thresholds=(0.001,), num_points=20_000)
+    # Samples of other seeds: the distance to the nearest one varies by their pattern.
+    assert same.chamfer_l1 == pytest.approx(same.sampling_floor, rel=0.3)
+    assert same.sampling_floor > 0
+
+
+def test_scores_may_count_a_part_of_the_surface() -> None:
+    flat = dome(3)[0] * [1, 1, 0], dome(3)[1]
+    bent = flat[0] + np.where(flat[0][:, :1] > 0.01, 0.01, 0) * [0, 0, 1], flat[1]
+    left = surface_scores(
+        bent, flat, thresholds=(1e-6,), num_points=5000, keep=lambda p: p[:, 0] < -0.005
+    )
+    assert left.point_to_surface < 1e-12
+    with pytest.raises(ValueError, match="no point of the surface counts"):
+        surface_scores(flat, flat, thresholds=(1.0,), keep=lambda p: p[:, 0] > 1)
