@@ -17,3 +17,25 @@ def build(arguments: argparse.Namespace) -> None:
     start = time.perf_counter()
     folder = build_corpus(Path(arguments.out), size=arguments.size, seed=arguments.seed)
     print(f"corpus ({arguments.size}) in {folder}, {time.perf_counter() - start:.1f} s")
+
+
+def heads(arguments: argparse.Namespace) -> None:
+    """Writes watertight heads."""
+    check_writable(Path(arguments.out), is_folder=True)
+    from freetalk.corpus.heads import write_heads
+
+    expression = {}
+    for given in arguments.expression:
+        name, _, value = given.partition("=")
+        try:
+            expression[name] = float(value)
+        except ValueError:
+            raise ValueError(f"--expression {given} is not understood: write NAME=WEIGHT") from None
+    paths = write_heads(
+        Path(arguments.out),
+        count=arguments.count,
+        held_out=arguments.held_out,
+        expression=expression,
+        seed=arguments.seed,
+    )
+    print(f"{len(paths)} heads in {arguments.out}")

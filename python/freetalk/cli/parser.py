@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from freetalk.cli.motion_options import DEFAULT_WEIGHTS, add_decoding, add_device, add_diffusion
-from freetalk.cli.numbers import at_least_one, picture_size, positive, seed
+from freetalk.cli.numbers import at_least_one, natural, picture_size, positive, seed
 from freetalk.cli.score_options import add_evaluate, add_predict
 
 UNITS = ("auto", "m", "cm", "mm", "in")  # core.UNITS; help is shown without loading the library
@@ -245,6 +245,29 @@ def _add_corpus(commands: Any) -> None:
     parser.add_argument("--out", required=True, metavar="DIR", help="folder to make")
     parser.add_argument("--size", choices=("tiny", "small", "full"), default="small", help="size")
     parser.add_argument("--seed", type=seed, default=0, help="same seed, same corpus")
+    parser = _command(
+        nested,
+        "heads",
+        "corpus:heads",
+        "write watertight heads of the built-in face",
+        description=(
+            "Writes heads as a neural parametric head is trained on them: closed, with eyes, mouth a little open "
+            "(or with --expression). Trainings draw theirs anew; these are to look at and to judge by."
+        ),
+    )
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder of the .ply files")
+    parser.add_argument("--count", type=natural, default=8, help="how many (default: %(default)s)")
+    parser.add_argument(
+        "--held-out", action="store_true", help="the 32 identities that no training draws"
+    )
+    parser.add_argument(
+        "--expression",
+        metavar="NAME=WEIGHT",
+        action="append",
+        default=[],
+        help="such as jawOpen=0.5; may repeat",
+    )
+    parser.add_argument("--seed", type=seed, default=0, help="same seed, same heads")
 
 
 def _add_data(commands: Any) -> None:
