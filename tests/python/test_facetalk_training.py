@@ -141,3 +141,17 @@ def test_opening_is_that_of_the_library(corpus: Path, tmp_path: Path, shared: st
     record: dict[str, Any] = own._sampled(sequence, seed=1)
     true = lip_opening(own.corpus.landmarks(sequence))
     np.testing.assert_allclose(record["openings"][1], true[: len(record["openings"][1])])
+
+
+def test_weights_are_measured_and_assembled(corpus: Path, tmp_path: Path, shared: str) -> None:
+    from freetalk.evaluate import weights as scores_of
+
+    run("facetalk", SMOKE, [*QUICK, shared, "loop.max_steps=1"], corpus, tmp_path)
+    assert (tmp_path / "speech/model.safetensors").is_file()  # that of the training
+    scores = scores_of.measure(
+        open_dataset(corpus), tmp_path, parts=["facetalk"], samples=2, steps=2
+    )
+    assert {"single_sample", "mean_of_2"} <= scores["facetalk opening"].keys()
+    assert scores["facetalk closures"]["phones"] > 0
+    with pytest.raises(ValueError, match="known: stm, ats, emotions, facetalk"):
+        scores_of.measure(open_dataset(corpus), tmp_path, parts=["face"])

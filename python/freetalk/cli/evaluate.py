@@ -12,7 +12,12 @@ from freetalk.cli.parser import UsageError
 from freetalk.cli.score_options import AXES
 from freetalk.cli.weights import find_weights
 
-_STAGES = {"stm": ("stm",), "ats": ("speech", "ats"), "emotions": ("speech", "ats")}
+_STAGES = {
+    "stm": ("stm",),
+    "ats": ("speech", "ats"),
+    "emotions": ("speech", "ats"),
+    "facetalk": ("speech", "facetalk"),
+}
 
 
 def run(arguments: argparse.Namespace) -> None:

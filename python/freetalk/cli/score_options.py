@@ -67,7 +67,9 @@ def add_evaluate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", metavar="[NAME:SPLIT=]DIR", help="a corpus or dataset")
     _add_weights(parser)
     parts = ("stm", "ats", "emotions")
-    parser.add_argument("--parts", nargs="+", choices=parts, default=list(parts), help="what")
+    known = (*parts, "facetalk")
+    parts_help = "what; facetalk where the weights hold it"
+    parser.add_argument("--parts", nargs="+", choices=known, default=list(parts), help=parts_help)
     take_help = "held-out take; by default the open corpus's captured one, else all of the split"
     parser.add_argument("--take", help=take_help)
     parser.add_argument(

@@ -19,6 +19,7 @@ from tqdm import tqdm
 from freetalk.audio import load_audio
 from freetalk.data import Dataset, MotionSequence, lip_opening
 from freetalk.data.landmarks import UPPER_FACE
+from freetalk.evaluate.facetalk import SpeechToCodes
 from freetalk.evaluate.pretrained import LandmarksToMesh, SpeechToMotion
 from freetalk.evaluate.speech_motion import (
     NearestCentroid,
@@ -32,6 +33,8 @@ from freetalk.evaluate.writers import plain_table
 FloatArray = npt.NDArray[np.float32]
 Scores = dict[str, Any]
 PARTS = ("stm", "ats", "emotions")
+#: Those that only some weights hold.
+MORE_PARTS = ("facetalk",)
 #: The open corpus's held-out take of captured speech.
 CAPTURED_TAKE = "1114_3_15"
 _MOST_CLIPS = 40
@@ -98,7 +101,7 @@ def _faces(dataset: Dataset, per_topology: int) -> Iterator[tuple[str, int]]:
 
 
 def evaluate_opening(
-    dataset: Dataset, model: SpeechToMotion, take: str | None, samples: int = 5
+    dataset: Dataset, model: SpeechToMotion | SpeechToCodes, take: str | None, samples: int = 5
 ) -> Scores:
     """Correlation of generated and recorded inner-lip opening over held-out speech.
 
@@ -153,7 +156,7 @@ def evaluate_energy(model: SpeechToMotion, path: Path, samples: int = 3) -> Scor
     return {"correlation": float(np.mean(values)), "lowest": float(np.min(values))}
 
 
-def evaluate_closures(dataset: Dataset, model: SpeechToMotion) -> Scores | None:
+def evaluate_closures(dataset: Dataset, model: SpeechToMotion | SpeechToCodes) -> Scores | None:
     """Share of p, b, m at which the lips close, generated and recorded; ``None`` where no phones are known."""
     chosen = [s for s in _speech(dataset) if dataset.phones(s)][:_MOST_CLIPS]
     if not chosen:
@@ -269,7 +272,7 @@ def measure(
     Args:
         dataset: whose test split is measured on.
         pretrained: the folder.
-        parts: of ``PARTS``; what the dataset does not allow (phones, several emotions) is left out.
+        parts: of ``PARTS`` and ``MORE_PARTS``; what the dataset does not allow (phones, several emotions) is left out.
         take: held-out take, see :func:`evaluate_opening`.
         audio: further recordings, without motion.
         samples: performances of the take.
@@ -279,9 +282,10 @@ def measure(
     Raises:
         ValueError: an unknown part, or the dataset has no such take, or no test split.
     """
-    unknown = set(parts) - set(PARTS)
+    unknown = set(parts) - {*PARTS, *MORE_PARTS}
     if unknown:
-        raise ValueError(f"unknown part {sorted(unknown)[0]!r}; known: {', '.join(PARTS)}")
+        known = ", ".join((*PARTS, *MORE_PARTS))
+        raise ValueError(f"unknown part {sorted(unknown)[0]!r}; known: {known}")
     scores: Scores = {}
     if "stm" in parts:
         scores["stm"] = evaluate_stm(dataset, LandmarksToMesh(pretrained / "stm", device))
@@ -295,6 +299,11 @@ def measure(
                 scores[f"energy {path.name}"] = evaluate_energy(model, path)
         if "emotions" in parts:
             scores["emotions"] = evaluate_emotions(dataset, model)
+    if "facetalk" in parts:
+        chosen = {"sampler": "dpmpp", "num_steps": 20} if steps is None else {"num_steps": steps}
+        speaker = SpeechToCodes(pretrained / "speech", pretrained / "facetalk", chosen, device)
+        scores["facetalk opening"] = evaluate_opening(dataset, speaker, take, samples)
+        scores["facetalk closures"] = evaluate_closures(dataset, speaker)
     return {name: found for name, found in scores.items() if found is not None}
 
 

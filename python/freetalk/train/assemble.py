@@ -23,7 +23,7 @@ def assemble(
 ) -> str:
     """Makes an output folder with all stages a folder of weights.
 
-    The speech encoder that the audio stage was trained with is copied into it, where there is none.
+    The speech encoder that an audio stage was trained with is copied into it, where there is none.
 
     Args:
         out: output folder of trainings.
@@ -33,7 +33,7 @@ def assemble(
     Returns:
         One sentence on what the folder still lacks; empty where it is complete.
     """
-    heard = _heard_encoder(out)
+    heard = _heard_encoder(out, "ats") or _heard_encoder(out, "facetalk")
     if heard and "speech" in missing_stages(out) and encoder_hash(Path(heard["folder"])):
         for name in ("model.safetensors", "config.json"):
             with replacing(out / "speech" / name) as temporary:
@@ -42,12 +42,14 @@ def assemble(
     if lacking:
         commands = " and ".join(f"`freetalk train {stage} --out {out}`" for stage in lacking)
         return f"{out} lacks {' and '.join(lacking)} for `freetalk animate --pretrained`: run {commands}"
-    if heard and heard["hash"] != encoder_hash(out / "speech"):
-        (out / "talker.json").unlink(missing_ok=True)
-        return (
-            f"{out / 'ats'} was trained with the speech encoder in {heard['folder']}, not with the one in "
-            f"{out / 'speech'}: put that one there, or train the audio stage again"
-        )
+    for stage in ("ats", "facetalk"):
+        heard = _heard_encoder(out, stage)
+        if heard and heard["hash"] != encoder_hash(out / "speech"):
+            (out / "talker.json").unlink(missing_ok=True)
+            return (
+                f"{out / stage} was trained with the speech encoder in {heard['folder']}, not with the one in "
+                f"{out / 'speech'}: put that one there, or train the audio stage again"
+            )
     options = json.loads((out / "ats" / "config.json").read_text())["options"]
     _write_template(out / "template.safetensors")
     about = {
@@ -73,9 +75,9 @@ def encoder_hash(folder: Path) -> str:
     return content_hash(weights) if weights.is_file() else ""
 
 
-def _heard_encoder(out: Path) -> dict[str, str]:
-    """What the audio stage noted, see :func:`encoder_record`; empty where there is no such stage."""
-    config = out / "ats" / "config.json"
+def _heard_encoder(out: Path, stage: str) -> dict[str, str]:
+    """What an audio stage noted, see :func:`encoder_record`; empty where there is no such stage."""
+    config = out / stage / "config.json"
     if not config.is_file():
         return {}
     return dict(json.loads(config.read_text()).get("training", {}).get("speech_encoder") or {})
