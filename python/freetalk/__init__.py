@@ -5,7 +5,14 @@ from __future__ import annotations
 import atexit
 import importlib
 import logging
+import signal
+import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+if sys.argv and Path(sys.argv[0]).name == "freetalk":
+    # The command: until it runs (freetalk.cli.app), Ctrl-C ends the loading of torch without a traceback.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 import torch
 

@@ -139,7 +139,7 @@ class Animation:
 
         ``.npz`` holds everything (``numpy.load`` reads it), ``.glb`` and ``.gltf`` hold morph targets with an
         animation of their weights, ``folder/*.obj`` and ``folder/*.ply`` one numbered mesh per frame, ``.mp4`` a
-        rendered video with sound, ``.html`` a page that plays it in any browser, without a network.
+        rendered video with sound (``.webm`` likewise), ``.html`` a page that plays it in any browser, without a network.
 
         Args:
             path: where to write.
@@ -153,11 +153,11 @@ class Animation:
             ValueError: unknown extension or option.
             RuntimeError: the path cannot be written.
         """
-        if Path(path).suffix.lower() == ".mp4":
+        if Path(path).suffix.lower() in (".mp4", ".webm"):
             from freetalk.viz import save_video
 
             save_video(self, path, **options)
-            return SaveReport("mp4")
+            return SaveReport(Path(path).suffix.lower()[1:])
         if Path(path).suffix.lower() == ".html":
             from freetalk.page import save_page
 

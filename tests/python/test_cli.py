@@ -104,10 +104,19 @@ def test_missing_arguments_and_unknown_commands_are_named(
     assert "--colour" in refused(capsys, None, "models", "--colour")
 
 
-@pytest.mark.parametrize("command", ["", "animate", "train ats", "corpus build", "view", "models"])
+@pytest.mark.parametrize(
+    "command",
+    ["", "animate", "train ats", "corpus build", "view", "models", "models pack", "table"],
+)
 def test_help_explains_every_option(capsys: pytest.CaptureFixture[str], command: str) -> None:
     assert main([*command.split(), "--help"]) == 0
     assert "--help" in capsys.readouterr().out
+
+
+def test_help_names_the_emotions(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["animate", "--help"]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "neutral, afraid, ashamed, angry" in printed and "contempt" in printed
 
 
 def test_units_of_the_command_line_are_the_library_s() -> None:

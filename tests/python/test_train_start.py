@@ -6,7 +6,6 @@ import json
 import re
 import shutil
 import signal
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +16,11 @@ from mini_corpus import write_mini_corpus
 from freetalk import Talker
 from freetalk._pretrained import PRETRAINED
 from freetalk.cli.app import main
+from freetalk.cli.pack import untraceable
 from freetalk.train import load_config, loop, run
 from freetalk.train.assemble import assemble, encoder_record
 from freetalk.train.checkpoint import find_checkpoint, git_commit, load_state
 from freetalk.train.config import LoopOptions
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
-import pack_weights
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 QUICK = ["loop.threads=1", "loop.device=cpu", "loop.validate_every=0", "loop.max_steps=4"]
@@ -183,9 +180,9 @@ def test_weights_record_commit_options_and_data(corpus: Path, tmp_path: Path) ->
     assert training["config"]["task"]["frames"] == 4
     assert training["data_fingerprint"]
     traced = {"training": {**training, "commit": "0" * 40}}
-    assert pack_weights.untraceable(traced) == []
-    assert pack_weights.untraceable({"training": {**training, "commit": "unknown"}}) == ["commit"]
-    assert pack_weights.untraceable({}) == ["commit", "data_fingerprint"]
+    assert untraceable(traced) == []
+    assert untraceable({"training": {**training, "commit": "unknown"}}) == ["commit"]
+    assert untraceable({}) == ["commit", "data_fingerprint"]
 
 
 def test_the_commit_is_of_this_package_or_unknown(
@@ -277,11 +274,10 @@ def test_every_line_of_the_readme_takes_a_plain_folder(
     ]  # a toy that no one takes for a face
     assert main(command) == 0, capsys.readouterr().err
     assert (tmp_path / "talk.glb").stat().st_size > 1000
-    words = ["pack_weights.py", *(w for k in TINY for w in (f"--{k}", str(out / k)))]
+    words = ["models", "pack", *(w for k in TINY for w in (f"--{k}", str(out / k)))]
     words += ["--out", str(tmp_path / "weights")]
     traced = [] if git_commit() != "unknown" else ["--untraceable"]
-    monkeypatch.setattr(sys, "argv", [*words, *traced])
-    pack_weights.main()
+    assert main([*words, *traced]) == 0
     assert (tmp_path / "weights" / "talker.json").read_text() == (out / "talker.json").read_text()
 
 

@@ -202,6 +202,13 @@ def test_sound_and_pictures_are_equally_long(
     assert [entry.name for entry in tmp_path.iterdir()] == ["talk.mp4"]
 
 
+def test_webm_holds_the_same_length(face: viz.Sequence, tmp_path: Path) -> None:
+    streams = probe(viz.save_video(face, tmp_path / "talk.webm", size=SIZE, progress=False))
+    assert streams["video"]["codec_name"] == "vp9" and streams["audio"]["codec_name"] == "opus"
+    with pytest.raises(ValueError, match=r"\.webm"):
+        viz.save_video(face, tmp_path / "talk.avi", size=SIZE)
+
+
 def test_silent_animation_has_no_sound_track(tmp_path: Path) -> None:
     silent = talking_face(num_frames=3)
     silent.samples = np.zeros(0, np.float32)

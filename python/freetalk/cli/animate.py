@@ -16,6 +16,7 @@ from freetalk.cli.motion_options import diffusion_options
 from freetalk.cli.outputs import (
     AUDIO_SUFFIXES,
     MESH_SUFFIXES,
+    VIDEO_FORMATS,
     Output,
     check_readable,
     inputs,
@@ -52,7 +53,7 @@ def run(arguments: argparse.Namespace) -> None:
     jobs = plan(arguments)
     weights = find_weights(arguments.pretrained)
     check_intensity(arguments.intensity, weights)
-    if any(output.format == "mp4" for job in jobs for output in job.outputs):
+    if any(output.format in VIDEO_FORMATS for job in jobs for output in job.outputs):
         from freetalk.viz import check_video_support
 
         check_video_support()
@@ -207,10 +208,13 @@ def write(
     animation: freetalk.Animation, output: Output, size: tuple[int, int], report: Report
 ) -> None:
     """Writes one requested result."""
-    if output.format == "mp4":
-        from freetalk.viz import save_video
+    if output.format in VIDEO_FORMATS:
+        from freetalk.viz.video import MAX_VIDEO_FPS, save_video
 
         save_video(animation, output.path, size=size, progress=not report.quiet)
+        if animation.fps > MAX_VIDEO_FPS:
+            text = f"{output.path.name} shows {MAX_VIDEO_FPS:g} of its {animation.fps:g} frames a second"
+            report.line("note", text, timed=False)
     elif output.is_folder:
         animation.save(output.path / f"*.{output.format}")
     else:

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import importlib
+import signal
 import sys
 import traceback
 from collections.abc import Sequence
+from typing import NoReturn
 
 from freetalk.cli.parser import UsageError, make_parser
 
 EXIT_ERROR = 2
 EXIT_STOPPED = 130
+EXIT_TERMINATED = 143
+
+
+class TerminatedError(KeyboardInterrupt):
+    """SIGTERM: everything half-written is cleared away on the way out."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -20,9 +27,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: Arguments without the program's name; those of the process by default.
 
     Returns:
-        0, or 2 after an error (one sentence on stderr), or 130 when stopped from the keyboard.
+        0, or 2 after an error (one sentence on stderr), 130 when stopped from the keyboard, 143 by SIGTERM.
     """
     debug = False
+    _end_in_order()
     try:
         arguments = make_parser().parse_args(argv)
         debug = arguments.debug
@@ -36,11 +44,27 @@ def main(argv: Sequence[str] | None = None) -> int:
             traceback.print_exc()
             return EXIT_ERROR
         return _report(describe(error))
+    except TerminatedError:
+        print("freetalk: terminated", file=sys.stderr)
+        return EXIT_TERMINATED
     except KeyboardInterrupt:
         print("freetalk: stopped", file=sys.stderr)
         return EXIT_STOPPED
     except SystemExit as finished:  # argparse, after --help and --version
         return finished.code if isinstance(finished.code, int) else EXIT_ERROR
+
+
+def _end_in_order() -> None:
+    def terminate(number: int, frame: object) -> NoReturn:
+        raise TerminatedError
+
+    try:
+        if signal.getsignal(signal.SIGINT) == signal.SIG_DFL:  # see freetalk/__init__.py
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
+            signal.signal(signal.SIGTERM, terminate)
+    except ValueError:
+        return  # signals belong to the main thread
 
 
 def describe(error: BaseException) -> str:

@@ -7,9 +7,10 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-ANIMATION_SUFFIXES = (".glb", ".gltf", ".html", ".npz", ".mp4")
+ANIMATION_SUFFIXES = (".glb", ".gltf", ".html", ".npz", ".mp4", ".webm")
+VIDEO_FORMATS = ("mp4", "webm")
 FRAME_SUFFIXES = (".obj", ".ply")
-AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".mp3")
+AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".mp3", ".m4a", ".aac", ".mp4", ".mov", ".webm")
 MESH_SUFFIXES = (".obj", ".ply", ".off", ".stl", ".gltf", ".glb")
 
 
@@ -19,7 +20,7 @@ class Output:
 
     Attributes:
         path: The file, or the folder of a mesh a frame.
-        format: ``glb``, ``gltf``, ``html``, ``npz``, ``mp4``, ``obj`` or ``ply``.
+        format: ``glb``, ``gltf``, ``html``, ``npz``, ``mp4``, ``webm``, ``obj`` or ``ply``.
     """
 
     path: Path

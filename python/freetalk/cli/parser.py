@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 from freetalk.cli.motion_options import DEFAULT_WEIGHTS, add_decoding, add_device, add_diffusion
 from freetalk.cli.numbers import at_least_one, natural, picture_size, positive, seed
 from freetalk.cli.score_options import add_evaluate, add_predict
+from freetalk.cli.weights import shipped_emotions
 
 UNITS = ("auto", "m", "cm", "mm", "in")  # core.UNITS; help is shown without loading the library
 AXES = ("auto", "+x", "-x", "+y", "-y", "+z", "-z")
@@ -76,6 +77,7 @@ def make_parser() -> Parser:
     )
     _add_corpus(commands)
     _add_data(commands)
+    _add_table(commands)
     _add_mesh(commands)
     _add_speech(commands)
     _add_pages(commands)
@@ -137,7 +139,7 @@ def _add_animate(commands: Any) -> None:
         description=(
             "Animates a face mesh of any topology with recorded speech. Outputs by name: talk.glb or "
             "talk.gltf (morph targets), talk.html (a page that plays it in any browser), talk.npz (arrays), "
-            "talk.mp4 (rendered, with sound), and for one mesh a frame a folder: 'frames/' or 'frames/*.obj' (OBJ), 'frames/*.ply' (PLY). "
+            "talk.mp4 or talk.webm (rendered, with sound), and for one mesh a frame a folder: 'frames/' or 'frames/*.obj' (OBJ), 'frames/*.ply' (PLY). "
             "An emotion is a name, a mixture 'happy:0.7,surprise:0.3', or keyframes "
             "'0=neutral; 2.5=happy:0.7,surprise:0.3@2.5' (SECONDS=EMOTION@INTENSITY, the intensity "
             "optional), between which it changes evenly. --audio and --mesh may be folders: every mesh speaks "
@@ -148,11 +150,14 @@ def _add_animate(commands: Any) -> None:
         "--audio",
         required=True,
         metavar="PATH",
-        help="speech: WAV, FLAC, OGG, MP3, or their folder",
+        help="speech: WAV, FLAC, OGG, MP3, M4A, the sound of a video, or their folder",
     )
     mesh_help = "face: OBJ, PLY, OFF, STL, glTF, or a folder; without it the built-in mean face"
     parser.add_argument("--mesh", metavar="PATH", help=mesh_help)
-    emotion_help = "a name such as neutral, happy or angry, a mixture, keyframes (see above), or auto: that of the voice"
+    emotion_help = (
+        f"{', '.join(shipped_emotions())}, or whatever other weights name; a mixture; keyframes (see above); or "
+        "auto: that of the voice"
+    )
     parser.add_argument("--emotion", default="neutral", help=emotion_help)
     parser.add_argument("--intensity", type=at_least_one, metavar="X", help=_INTENSITY_HELP)
     parser.add_argument("--fps", type=positive, default=30.0, help="frames per second")
@@ -164,7 +169,7 @@ def _add_animate(commands: Any) -> None:
     add_device(parser)
     out_help = "where to write; repeatable; for folders with {name} in it: 'talks/{name}.glb'"
     parser.add_argument("--out", action="append", required=True, metavar="PATH", help=out_help)
-    parser.add_argument("--size", type=picture_size, default="720x720", help="pixels of an .mp4")
+    parser.add_argument("--size", type=picture_size, default="720x720", help="pixels of a video")
     parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
@@ -321,6 +326,12 @@ def _add_data(commands: Any) -> None:
     add_video_options(parser)
 
 
+def _add_table(commands: Any) -> None:
+    from freetalk.cli.table import add_table
+
+    add_table(_command(commands, "table", "table:run", "make a table of the papers"))
+
+
 def _add_mesh(commands: Any) -> None:
     from freetalk.cli.mesh_options import add_landmarks, add_prepare
 
@@ -383,5 +394,7 @@ def _add_models(commands: Any) -> None:
     parser.add_argument("name", metavar="NAME", help="name, or OWNER/NAME on huggingface.co")
     parser.add_argument("--out", metavar="DIR", help="folder to write; by default in the cache")
     from freetalk.cli.models import add_push
+    from freetalk.cli.pack import add_pack
 
+    add_pack(_command(nested, "pack", "pack:run", "make weights of models trained apart"))
     add_push(_command(nested, "push", "models:push", "publish weights on huggingface.co"))

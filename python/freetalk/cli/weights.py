@@ -8,7 +8,7 @@ from typing import Any
 
 from freetalk._pretrained import find_weights, installed
 
-__all__ = ["check_intensity", "find_weights", "installed", "motion_options"]
+__all__ = ["check_intensity", "find_weights", "installed", "motion_options", "shipped_emotions"]
 
 
 def motion_options(folder: Path) -> dict[str, Any]:
@@ -16,6 +16,13 @@ def motion_options(folder: Path) -> dict[str, Any]:
     config: dict[str, Any] = json.loads((folder / "ats" / "config.json").read_text())
     options: dict[str, Any] = config["options"]
     return options
+
+
+def shipped_emotions() -> list[str]:
+    """Names that the first installed weights know; without any, the usual."""
+    folder = next(installed(), None)
+    emotions: list[str] = ["neutral", "happy", "angry"]
+    return emotions if folder is None else motion_options(folder)["emotions"]
 
 
 def check_intensity(given: float | None, folder: Path) -> None:

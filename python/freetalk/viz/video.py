@@ -22,6 +22,31 @@ from freetalk.viz.sequence import Sequence, as_sequence
 
 MAX_VIDEO_FPS = 60.0
 
+#: Options of ffmpeg for picture, sound and file.
+_CODECS: dict[str, tuple[list[str], list[str], list[str]]] = {
+    ".mp4": (
+        ["-c:v", "libx264", "-preset", "veryfast", "-crf", "18"],
+        ["-c:a", "aac", "-b:a", "160k"],
+        ["-movflags", "+faststart", "-f", "mp4"],
+    ),
+    ".webm": (
+        [
+            "-c:v",
+            "libvpx-vp9",
+            "-crf",
+            "28",
+            "-b:v",
+            "0",
+            "-deadline",
+            "realtime",
+            "-cpu-used",
+            "6",
+        ],
+        ["-c:a", "libopus", "-b:a", "96k"],
+        ["-f", "webm"],
+    ),
+}
+
 
 def save_video(
     animation: Any,
@@ -31,11 +56,11 @@ def save_video(
     view: View | None = None,
     progress: bool = True,
 ) -> Path:
-    """Renders an animation to an ``.mp4`` with its sound; nothing is left behind if it fails.
+    """Renders an animation to an ``.mp4`` (H.264, AAC) or ``.webm`` (VP9, Opus) with its sound; nothing is left behind if it fails.
 
     Args:
         animation: ``freetalk.Animation``, :class:`Sequence` or path of an animation ``.npz``.
-        path: Where to write; must end in ``.mp4``.
+        path: Where to write; must end in ``.mp4`` or ``.webm``.
         fps: Frames per second of the video. By default those of the animation, at most 60; other
             rates interpolate the motion linearly.
         size: (width, height) in pixels, even numbers.
@@ -52,8 +77,8 @@ def save_video(
     sequence = as_sequence(animation)
     target = Path(path)
     rate = _video_rate(sequence, fps)
-    if target.suffix.lower() != ".mp4":
-        raise ValueError(f"a video's name must end in .mp4, found '{target.name}'")
+    if target.suffix.lower() not in _CODECS:
+        raise ValueError(f"a video's name must end in .mp4 or .webm, found '{target.name}'")
     if min(size) < 16 or size[0] % 2 or size[1] % 2:
         raise ValueError(f"size must be even numbers of at least 16 pixels, found {size}")
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -134,11 +159,11 @@ def _ffmpeg_command(
 ) -> list[str]:
     video = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}"]
     command = [_ffmpeg(), "-y", "-loglevel", "error", *video, "-r", str(rate), "-i", "pipe:0"]
+    picture, voice, container = _CODECS[out.suffix.lower()]
     if sound is not None:
-        command += ["-i", str(sound), "-map", "0:v", "-map", "1:a", "-c:a", "aac", "-b:a", "160k"]
-    command += ["-c:v", "libx264", "-preset", "veryfast", "-crf", "18", "-pix_fmt", "yuv420p"]
-    command += ["-movflags", "+faststart", "-frames:v", str(count)]
-    return [*command, "-t", f"{float(count / rate):.6f}", "-f", "mp4", str(out)]
+        command += ["-i", str(sound), "-map", "0:v", "-map", "1:a", *voice]
+    command += [*picture, "-pix_fmt", "yuv420p", "-frames:v", str(count)]
+    return [*command, "-t", f"{float(count / rate):.6f}", *container, str(out)]
 
 
 def _ffmpeg() -> str:
