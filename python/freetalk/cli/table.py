@@ -11,7 +11,8 @@ def add_table(parser: argparse.ArgumentParser) -> None:
         "Trains a table's rows, scores them and judges the paper's claims; 'freetalk table supp_2 -- --help' lists "
         "what a table takes."
     )
-    tables = ("2", "3", "supp_1", "supp_2", "radius")
+    freetalk = ("2", "3", "supp_1", "supp_2", "radius")
+    tables = (*freetalk, "facetalk_2", "facetalk_3", "facetalk_5")
     parser.add_argument("name", choices=tables, help="which")
     parser.add_argument("rest", nargs=argparse.REMAINDER, metavar="...", help="its arguments")
 
