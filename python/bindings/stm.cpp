@@ -1,11 +1,13 @@
 #include "freetalk/stm/stm.h"
 
+#include <pybind11/eigen.h>
 #include <torch/extension.h>
 
 #include "bind_module.h"
 #include "freetalk/stm/adaptive_decoder.h"
 #include "freetalk/stm/attention.h"
 #include "freetalk/stm/frame_decoder.h"
+#include "freetalk/stm/landmark_follower.h"
 #include "freetalk/stm/landmark_graph.h"
 
 namespace py = pybind11;
@@ -29,11 +31,37 @@ void bind_stm(py::module_& m) {
            py::arg("memory_bytes"));
   freetalk::bindings::bind_options<fs::DecodeOptions>(m, "DecodeOptions",
                                                       "Precision and memory of FrameDecoder.");
+  freetalk::bindings::bind_options<fs::FollowOptions>(m, "FollowOptions",
+                                                      "How landmarks are followed.");
+  py::class_<fs::LandmarkFollower, std::shared_ptr<fs::LandmarkFollower>>(
+      m, "LandmarkFollower", "What following the landmarks needs of a mesh.")
+      .def(py::init<const Eigen::MatrixXd&, const Eigen::MatrixXi&, const Eigen::MatrixXd&,
+                    const Eigen::MatrixXd&, const fs::FollowOptions&>(),
+           py::arg("vertices"), py::arg("faces"), py::kw_only(), py::arg("landmarks"),
+           py::arg("normals"), py::arg("options") = fs::FollowOptions{}, release)
+      .def("apply", &fs::LandmarkFollower::apply, py::arg("displacements"), py::arg("landmarks"),
+           release, "(T, V, 3) displacements that follow the landmarks, differentiable.")
+      .def(
+          "to",
+          [](const fs::LandmarkFollower& self, const py::object& device) {
+            return self.to(torch::python::detail::py_object_to_device(
+                py::module_::import("torch").attr("device")(device)));
+          },
+          py::arg("device"), "A copy on a device.")
+      .def_property_readonly("num_followed", &fs::LandmarkFollower::num_followed,
+                             "Landmarks that are near the surface.")
+      .def_property_readonly("corners", &fs::LandmarkFollower::corners, "(68, 3) int64 vertices.")
+      .def_property_readonly("shares", &fs::LandmarkFollower::shares,
+                             "(68, 3) barycentric on them.")
+      .def_property_readonly("weights", &fs::LandmarkFollower::weights,
+                             "(V, 68), 0 for landmarks that are not followed.")
+      .def_property_readonly("reach", &fs::LandmarkFollower::reach, "(V, 1) in [0, 1].");
   py::class_<fs::FrameDecoder>(m, "FrameDecoder", "STM's decoder for many frames of one mesh.")
       .def(py::init<std::shared_ptr<fs::StmImpl>, const fs::MeshFeatures&,
-                    const freetalk::geometry::SurfaceOperators&, const fs::DecodeOptions&>(),
+                    const freetalk::geometry::SurfaceOperators&, const fs::DecodeOptions&,
+                    std::shared_ptr<fs::LandmarkFollower>>(),
            py::arg("model"), py::arg("mesh"), py::kw_only(), py::arg("operators"),
-           py::arg("options") = fs::DecodeOptions{}, release)
+           py::arg("options") = fs::DecodeOptions{}, py::arg("follower") = nullptr, release)
       .def("decode", py::overload_cast<const at::Tensor&>(&fs::FrameDecoder::decode, py::const_),
            py::arg("landmarks"), release, "(T, V, 3) displacements in metres.");
   freetalk::bindings::bind_options<fs::AdaptiveOptions>(m, "AdaptiveOptions",

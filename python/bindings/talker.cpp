@@ -1,5 +1,6 @@
 #include "freetalk/talker/talker.h"
 
+#include <pybind11/eigen.h>
 #include <pybind11/functional.h>
 #include <pybind11/numpy.h>
 #include <pybind11/stl/filesystem.h>
@@ -148,7 +149,7 @@ void bind_talker(py::module_& m) {
                   NoGil())
       .def("prepare", &Talker::prepare, py::arg("mesh"), py::kw_only(),
            py::arg("options") = talker::FaceOptions{}, py::arg("progress") = talker::Progress{},
-           NoGil())
+           py::arg("landmarks") = Eigen::MatrixXd(), NoGil())
       .def(
           "animate",
           [](const Talker& self, const Audio& audio, const Mesh& mesh,

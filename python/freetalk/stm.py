@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 
 from freetalk import _native
@@ -12,6 +14,8 @@ DecodeOptions = _native.stm.DecodeOptions
 FrameDecoder = _native.stm.FrameDecoder
 AdaptiveOptions = _native.stm.AdaptiveOptions
 AdaptiveReport = _native.stm.AdaptiveReport
+FollowOptions = _native.stm.FollowOptions
+LandmarkFollower = _native.stm.LandmarkFollower
 MeshFeatures = _native.stm.MeshFeatures
 landmark_adjacency = _native.stm.landmark_adjacency
 landmark_edges = _native.stm.landmark_edges
@@ -88,6 +92,7 @@ class Stm(NativeModule):
         *,
         precision: str = "float32",
         memory_bytes: int = 256 << 20,
+        follower: LandmarkFollower | None = None,
     ) -> FrameDecoder:
         """A fast ``decode`` without gradients for many frames of one mesh.
 
@@ -97,6 +102,7 @@ class Stm(NativeModule):
             precision: ``"float32"``, or ``"bfloat16"`` for products in bfloat16 with float32 sums where
                 the processor multiplies it.
             memory_bytes: working memory; does not grow with the number of frames.
+            follower: of the same mesh: displacements follow the landmarks; None: as ``decode`` gives them.
 
         Returns:
             An object whose ``decode(landmarks)`` takes (T, 68, 3) metres and returns (T, V, 3) metres.
@@ -106,7 +112,10 @@ class Stm(NativeModule):
             ValueError: an unknown precision.
         """
         options = DecodeOptions(precision=precision, memory_bytes=memory_bytes)
-        return FrameDecoder(self._plain_impl, mesh, operators=operators, options=options)
+        followed: Any = follower
+        return FrameDecoder(
+            self._plain_impl, mesh, operators=operators, options=options, follower=followed
+        )
 
     def frames_per_chunk(self, num_vertices: int, memory_bytes: int) -> int:
         """Frames that ``decode`` takes at once within ``memory_bytes``."""
@@ -142,7 +151,9 @@ __all__ = [
     "AdaptiveOptions",
     "AdaptiveReport",
     "DecodeOptions",
+    "FollowOptions",
     "FrameDecoder",
+    "LandmarkFollower",
     "MeshFeatures",
     "Stm",
     "StmOptions",

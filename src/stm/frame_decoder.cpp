@@ -83,11 +83,13 @@ struct FrameDecoder::Fastest {
 
 FrameDecoder::FrameDecoder(std::shared_ptr<StmImpl> model, const MeshFeatures& mesh,
                            const geometry::SurfaceOperators& operators,
-                           const DecodeOptions& options)
+                           const DecodeOptions& options,
+                           std::shared_ptr<const LandmarkFollower> follower)
     : model_(std::move(model)),
       mesh_(mesh),
       operators_(operators),
       options_(options),
+      follower_(std::move(follower)),
       fastest_(std::make_unique<Fastest>()) {
   options.check();
   const torch::NoGradGuard no_grad;
@@ -109,7 +111,7 @@ const FrameDecoder& FrameDecoder::fastest() const {
   }
   std::call_once(fastest_->once, [this] {
     fastest_->decoder = std::make_unique<const FrameDecoder>(
-        model_, mesh_, operators_, DecodeOptions{"bfloat16", options_.memory_bytes});
+        model_, mesh_, operators_, DecodeOptions{"bfloat16", options_.memory_bytes}, follower_);
   });
   return *fastest_->decoder;
 }
@@ -160,6 +162,20 @@ at::Tensor FrameDecoder::decode_chunk(const at::Tensor& landmarks, int64_t in_wo
   return model_->decode(mesh_, operators_, landmarks);
 }
 
+at::Tensor FrameDecoder::followed(const at::Tensor& displacements,
+                                  const at::Tensor& landmarks) const {
+  if (!follower_) return displacements;
+  if (!displacements.is_cpu()) return follower_->apply(displacements, landmarks);
+  at::Tensor result = at::empty_like(displacements);
+  core::parallel_for(0, landmarks.size(0), 1, [&](int64_t begin, int64_t end) {
+    for (int64_t t = begin; t < end; ++t) {
+      result.narrow(0, t, 1).copy_(
+          follower_->apply(displacements.narrow(0, t, 1), landmarks.narrow(0, t, 1)));
+    }
+  });
+  return result;
+}
+
 void FrameDecoder::each_chunk(const at::Tensor& landmarks,
                               const std::function<void(int64_t, const at::Tensor&)>& use) const {
   core::with_plain_errors("STM", [&] {
@@ -167,7 +183,8 @@ void FrameDecoder::each_chunk(const at::Tensor& landmarks,
     const auto [chunk, in_work] = plan();
     for (int64_t first = 0; first < landmarks.size(0); first += chunk) {
       const int64_t count = std::min(chunk, landmarks.size(0) - first);
-      use(first, decode_chunk(landmarks.narrow(0, first, count), in_work));
+      const at::Tensor part = landmarks.narrow(0, first, count);
+      use(first, followed(decode_chunk(part, in_work), part));
     }
   });
 }

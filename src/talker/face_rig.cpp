@@ -26,6 +26,10 @@ std::string content_of(const Face::State& face) {
   const Eigen::MatrixXi& faces = face.parts->face_faces();
   add(vertices.data(), static_cast<size_t>(vertices.size()) * sizeof(double));
   add(faces.data(), static_cast<size_t>(faces.size()) * sizeof(int));
+  if (face.follower) {
+    const at::Tensor weights = face.follower->weights().to(at::kCPU).contiguous();
+    add(weights.const_data_ptr(), weights.nbytes());
+  }
   add(face.options.precision.data(), face.options.precision.size());
   return hash.hex();
 }

@@ -25,6 +25,7 @@ struct Face::State {
   at::Tensor rest;     // (V, 3) float32 vertices
   at::Tensor to_mesh;  // (3, 3) float32: rows of displacements in metres to the mesh's own unit
   std::unique_ptr<const animation::Parts> parts;
+  std::shared_ptr<const stm::LandmarkFollower> follower;  // null: landmarks are not followed
   std::unique_ptr<const stm::FrameDecoder> decoder;
   struct LazyRig {
     std::once_flag once;
@@ -38,7 +39,8 @@ struct Face::State {
   /// @throws as Talker::prepare.
   static std::shared_ptr<const State> prepare(std::shared_ptr<const TalkerModels> models,
                                               c10::Device device, const mesh::Mesh& mesh,
-                                              const FaceOptions& options, const Progress& progress);
+                                              const FaceOptions& options, const Progress& progress,
+                                              const Eigen::MatrixXd& landmarks);
 
   /// Displacements of the mesh, its own unit, from those of the skin. @param skin (t, Vf, 3) m.
   /// @param landmarks (t, 68, 3) m, CPU. @returns (t, V, 3) float32.

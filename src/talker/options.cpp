@@ -48,6 +48,9 @@ void FaceOptions::check() const {
   FREETALK_CHECK(precision == "float32" || precision == "bfloat16",
                  "precision must be float32 or bfloat16, found '", precision, "'");
   FREETALK_CHECK(memory_mb >= 1, "memory_mb must be at least 1, found ", memory_mb);
+  FREETALK_CHECK(
+      follow_landmarks == "auto" || follow_landmarks == "yes" || follow_landmarks == "no",
+      "follow_landmarks must be auto, yes or no, found '", follow_landmarks, "'");
   FREETALK_CHECK(!cache_dir || !cache_dir->empty(),
                  "cache_dir must name a folder, or be auto, or nothing for no cache");
   geometry::AlignOptions{unit, up, forward}.check();

@@ -14,6 +14,9 @@
 namespace freetalk::talker {
 namespace {
 
+/// Noise (see geometry::KrigingOptions) of landmarks that are taken where the mean face has them.
+constexpr double kUncertain = 0.05;
+
 Eigen::Vector3d axis(const std::string& name) {
   Eigen::Vector3d direction = Eigen::Vector3d::Zero();
   direction[name.at(1) - 'x'] = name.at(0) == '-' ? -1 : 1;
@@ -66,11 +69,15 @@ at::Tensor to_tensor(const Eigen::MatrixXd& matrix, const c10::Device& device) {
 std::shared_ptr<const Face::State> Face::State::prepare(std::shared_ptr<const TalkerModels> models,
                                                         c10::Device device, const mesh::Mesh& mesh,
                                                         const FaceOptions& options,
-                                                        const Progress& progress) {
+                                                        const Progress& progress,
+                                                        const Eigen::MatrixXd& landmarks) {
   const torch::NoGradGuard no_grad;
   options.check();
+  FREETALK_CHECK(
+      landmarks.size() == 0 || (landmarks.rows() == core::kNumLandmarks && landmarks.cols() == 3),
+      "landmarks must be (68, 3), found (", landmarks.rows(), ", ", landmarks.cols(), ")");
   const auto face =
-      std::make_shared<State>(State{models, device, mesh, options, {}, {}, {}, {}, {}, {}, {}});
+      std::make_shared<State>(State{models, device, mesh, options, {}, {}, {}, {}, {}, {}, {}, {}});
   face->lazy_rig = std::make_unique<LazyRig>();
   Report& report = face->report;
   Stages stages(progress, report);
@@ -104,9 +111,27 @@ std::shared_ptr<const Face::State> Face::State::prepare(std::shared_ptr<const Ta
 
   stages.begin("features");
   const auto features = stm->encode(to_tensor(vertices, device), operators);
+  const std::string& wanted = options.follow_landmarks;
+  if (wanted == "yes" || (wanted == "auto" && stm->options().follows_landmarks)) {
+    const bool known = landmarks.size() > 0;
+    stm::FollowOptions follow;
+    if (!known) follow.kriging.noise = kUncertain;
+    const stm::LandmarkFollower made(vertices, face->parts->face_faces(),
+                                     known ? pose.apply(landmarks) : models->face.landmarks68,
+                                     models->face.outward68, follow);
+    const int64_t followed = made.num_followed();
+    if (2 * followed >= core::kNumLandmarks) {
+      face->follower = std::make_shared<const stm::LandmarkFollower>(made.to(device));
+    } else {
+      report.notices.push_back(
+          core::join("only ", followed,
+                     " of the 68 landmarks are near the surface: the motion is "
+                     "not made to follow them"));
+    }
+  }
   face->decoder = std::make_unique<const stm::FrameDecoder>(
       stm.ptr(), features, operators,
-      stm::DecodeOptions{options.precision, options.memory_mb << 20});
+      stm::DecodeOptions{options.precision, options.memory_mb << 20}, face->follower);
   stages.end();
   return face;
 }

@@ -29,11 +29,14 @@ Template load_template(const std::filesystem::path& path) {
                            "' must be (N, 3), found ", tensor.sizes());
     return to_matrix(tensor);
   };
-  Template face{read("points"), read("normals"), read("landmarks68")};
+  Template face{read("points"), read("normals"), read("landmarks68"),
+                Eigen::MatrixXd::Zero(core::kNumLandmarks, 3)};
+  if (file.contains("outward68")) face.outward68 = read("outward68");
   FREETALK_RUNTIME_CHECK(face.points.rows() == face.normals.rows(), path.string(),
                          ": 'points' and 'normals' differ in number");
-  FREETALK_RUNTIME_CHECK(face.landmarks68.rows() == core::kNumLandmarks, path.string(),
-                         ": expected ", core::kNumLandmarks, " landmarks");
+  FREETALK_RUNTIME_CHECK(face.landmarks68.rows() == core::kNumLandmarks &&
+                             face.outward68.rows() == core::kNumLandmarks,
+                         path.string(), ": expected ", core::kNumLandmarks, " landmarks");
   return face;
 }
 

@@ -40,10 +40,11 @@ geometry::Alignment Talker::align(const mesh::Mesh& mesh,
                                      models_->face.normals, options);
 }
 
-Face Talker::prepare(const mesh::Mesh& mesh, const FaceOptions& options,
-                     const Progress& progress) const {
-  return Face(core::with_plain_errors(
-      "prepare", [&] { return Face::State::prepare(models_, device_, mesh, options, progress); }));
+Face Talker::prepare(const mesh::Mesh& mesh, const FaceOptions& options, const Progress& progress,
+                     const Eigen::MatrixXd& landmarks) const {
+  return Face(core::with_plain_errors("prepare", [&] {
+    return Face::State::prepare(models_, device_, mesh, options, progress, landmarks);
+  }));
 }
 
 animation::Animation Talker::animate(const audio::Audio& audio, const mesh::Mesh& mesh,

@@ -4,6 +4,7 @@
 #include <functional>
 #include <memory>
 
+#include "freetalk/stm/landmark_follower.h"
 #include "freetalk/stm/stm.h"
 
 namespace freetalk::nn {
@@ -12,14 +13,18 @@ class FusedDiffusion;
 
 namespace freetalk::stm {
 
-/// decode() without gradients. DiffusionNet decoders in float32 on a CPU go through fused kernels
-/// (nn/fused_diffusion.h), others through StmImpl::decode in chunks. Decoding may run on several
-/// threads at a time. Through the fused kernels a frame's bits depend on nothing but the frame.
+/// decode() without gradients, following the landmarks where it is told how. DiffusionNet decoders
+/// in float32 on a CPU go through fused kernels (nn/fused_diffusion.h), others through
+/// StmImpl::decode in chunks. Decoding may run on several threads at a time. Through the fused
+/// kernels a frame's bits depend on nothing but the frame.
 class FrameDecoder {
  public:
   /// Changes of the model after this may or may not reach the decoder: make another.
+  /// @param follower of the same mesh: displacements follow the landmarks; none: as decode() gives
+  /// them.
   FrameDecoder(std::shared_ptr<StmImpl> model, const MeshFeatures& mesh,
-               const geometry::SurfaceOperators& operators, const DecodeOptions& options = {});
+               const geometry::SurfaceOperators& operators, const DecodeOptions& options = {},
+               std::shared_ptr<const LandmarkFollower> follower = nullptr);
   ~FrameDecoder();
 
   /// Memory grows with the chunk, not with T.
@@ -44,6 +49,8 @@ class FrameDecoder {
   };
   Plan plan() const;
   at::Tensor decode_chunk(const at::Tensor& landmarks, int64_t in_work) const;
+  /// What the follower makes of decoded frames, each frame by itself.
+  at::Tensor followed(const at::Tensor& displacements, const at::Tensor& landmarks) const;
   void each_chunk(const at::Tensor& landmarks,
                   const std::function<void(int64_t, const at::Tensor&)>& use) const;
   /// What the decoder takes in, each frame by itself: its bits do not depend on the others.
@@ -53,6 +60,7 @@ class FrameDecoder {
   MeshFeatures mesh_;
   geometry::SurfaceOperators operators_;
   DecodeOptions options_;
+  std::shared_ptr<const LandmarkFollower> follower_;
   std::unique_ptr<nn::FusedDiffusion> fused_;
   struct Fastest;
   std::unique_ptr<Fastest> fastest_;

@@ -4,8 +4,7 @@
 //   f_i = E_M(v_i, n_i)                       DiffusionNet (or another), once a mesh
 //   l~_tj = phi([GCN(dL_t)_j | PE(j)])        [Eq. 12]
 //   c_ti = sum_j softmax_j(q_i . k_tj / sqrt(d_c)) v_tj   [Eq. 13-14, per head]
-//   dV_t = D([f_i, g_t, c_ti])                DiffusionNet (or another), g_t = all landmark
-//   displacements of the frame
+//   dV_t = D([f_i, g_t, c_ti])                DiffusionNet (or another), g_t = dL_t
 //
 // Lengths: the mesh is in metres in the canonical frame; positions enter as v / length_scale and
 // the operators are those of the mesh divided by length_scale, displacements as d /
@@ -50,6 +49,7 @@ struct StmOptions {
   // of displacement and index alone; "ca_concat" [f_i, g_t, c_ti] with the same; "gcn_ca_concat"
   // with the graph convolutions.
   std::string fusion = "gcn_ca_concat";
+  bool follows_landmarks = false;  // trained through landmark_follower.h; false: the paper's
   template <class V>
   void fields(V& v) {
     v("encoder_width", encoder_width);
@@ -69,6 +69,7 @@ struct StmOptions {
     v("extractor", extractor);
     v("decoder", decoder);
     v("fusion", fusion);
+    v("follows_landmarks", follows_landmarks);
   }
   void check() const;
   bool uses_gcn() const { return fusion == "gcn_ca_concat"; }
@@ -78,8 +79,7 @@ struct StmOptions {
 
 /// What depends on the mesh alone, computed once.
 struct MeshFeatures {
-  at::Tensor
-      hidden;  // (V, decoder_width): W_f f_i + b, the mesh's part of the decoder's first layer
+  at::Tensor hidden;   // (V, decoder_width): W_f f_i + b, its part of the decoder's first layer
   at::Tensor queries;  // (heads, V, d_head); undefined without attention
 };
 

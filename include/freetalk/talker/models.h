@@ -17,6 +17,7 @@ struct Template {
   Eigen::MatrixXd points;       // (P, 3) m
   Eigen::MatrixXd normals;      // (P, 3)
   Eigen::MatrixXd landmarks68;  // (68, 3) m
+  Eigen::MatrixXd outward68;    // (68, 3) normals there; zero where unknown
 };
 
 struct TalkerModels {

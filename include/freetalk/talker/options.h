@@ -27,6 +27,9 @@ struct FaceOptions {
   std::string forward = "auto";
   std::string precision = "float32";  // of ATS and STM: "float32" or "bfloat16" (faster, coarser)
   int64_t memory_mb = 256;            // working memory of decoding, beside the result
+  /// "yes": the surface follows the landmarks where they are on the mesh (stm/landmark_follower.h);
+  /// "no": it moves as STM's decoder has it; "auto": as the weights say.
+  std::string follow_landmarks = "auto";
   /// Folder that keeps what is computed of a mesh for the next time; "auto":
   /// geometry::default_cache_dir(). Nothing, the default here: no file is read or written. (Python
   /// and the command line ask for "auto".)
@@ -39,6 +42,7 @@ struct FaceOptions {
     v("forward", forward);
     v("precision", precision);
     v("memory_mb", memory_mb);
+    v("follow_landmarks", follow_landmarks);
     v("cache_dir", cache_dir);
   }
   /// @throws std::invalid_argument naming the option at fault.

@@ -40,10 +40,12 @@ class Talker {
 
   /// Everything that depends on the mesh alone: for several clips, seeds or live speech on one
   /// mesh.
-  /// @throws std::invalid_argument for options out of range or a surface without area; whatever
-  /// `progress` throws.
+  /// @param landmarks (68, 3) where they are, in the mesh's own unit and axes; empty: taken where
+  /// the mean face has them.
+  /// @throws std::invalid_argument for options out of range, landmarks of another shape or a
+  /// surface without area; whatever `progress` throws.
   Face prepare(const mesh::Mesh& mesh, const FaceOptions& options = {},
-               const Progress& progress = {}) const;
+               const Progress& progress = {}, const Eigen::MatrixXd& landmarks = {}) const;
 
   /// prepare() and Face::animate() in one call. @param report filled if given.
   animation::Animation animate(const audio::Audio& audio, const mesh::Mesh& mesh,

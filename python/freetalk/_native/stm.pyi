@@ -1,5 +1,7 @@
 from __future__ import annotations
 import freetalk._native.geometry
+import numpy
+import numpy.typing
 import torch
 import typing
 
@@ -7,7 +9,9 @@ __all__: list[str] = [
     "AdaptiveOptions",
     "AdaptiveReport",
     "DecodeOptions",
+    "FollowOptions",
     "FrameDecoder",
+    "LandmarkFollower",
     "MeshFeatures",
     "StmImpl",
     "StmOptions",
@@ -34,6 +38,7 @@ class StmOptions:
     encoder_width: typing.Any
     extractor: typing.Any
     feature_dim: typing.Any
+    follows_landmarks: typing.Any
     fusion: typing.Any
     gcn_hidden: typing.Any
     gcn_layers: typing.Any
@@ -118,6 +123,79 @@ class DecodeOptions:
         All fields by name.
         """
 
+class FollowOptions:
+    """
+    How landmarks are followed.
+    """
+
+    __hash__: typing.ClassVar[None] = None
+    far: typing.Any
+    farthest: typing.Any
+    near: typing.Any
+    noise: typing.Any
+    range: typing.Any
+    @staticmethod
+    def from_dict(arg0: dict) -> FollowOptions:
+        """
+        Options from a mapping; an unknown key is a ValueError naming the nearest known one.
+        """
+    def __eq__(self, arg0: FollowOptions) -> bool: ...
+    def __getstate__(self) -> tuple[str]: ...
+    def __init__(self, **kwargs) -> None: ...
+    def __repr__(self) -> str: ...
+    def __setstate__(self, arg0: tuple) -> None: ...
+    def to_dict(self) -> dict:
+        """
+        All fields by name.
+        """
+
+class LandmarkFollower:
+    """
+    What following the landmarks needs of a mesh.
+    """
+    def __init__(
+        self,
+        vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
+        faces: typing.Annotated[numpy.typing.ArrayLike, numpy.int32, "[m, n]"],
+        *,
+        landmarks: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
+        normals: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
+        options: FollowOptions = ...,
+    ) -> None: ...
+    def apply(self, displacements: torch.Tensor, landmarks: torch.Tensor) -> torch.Tensor:
+        """
+        (T, V, 3) displacements that follow the landmarks, differentiable.
+        """
+    def to(self, device: typing.Any) -> LandmarkFollower:
+        """
+        A copy on a device.
+        """
+    @property
+    def corners(self) -> torch.Tensor:
+        """
+        (68, 3) int64 vertices.
+        """
+    @property
+    def num_followed(self) -> int:
+        """
+        Landmarks that are near the surface.
+        """
+    @property
+    def reach(self) -> torch.Tensor:
+        """
+        (V, 1) in [0, 1].
+        """
+    @property
+    def shares(self) -> torch.Tensor:
+        """
+        (68, 3) barycentric on them.
+        """
+    @property
+    def weights(self) -> torch.Tensor:
+        """
+        (V, 68), 0 for landmarks that are not followed.
+        """
+
 class FrameDecoder:
     """
     STM's decoder for many frames of one mesh.
@@ -129,6 +207,7 @@ class FrameDecoder:
         *,
         operators: freetalk._native.geometry.SurfaceOperators,
         options: DecodeOptions = ...,
+        follower: LandmarkFollower = None,
     ) -> None: ...
     def decode(self, landmarks: torch.Tensor) -> torch.Tensor:
         """

@@ -30,6 +30,7 @@ class FaceOptions:
 
     __hash__: typing.ClassVar[None] = None
     cache_dir: typing.Any
+    follow_landmarks: typing.Any
     forward: typing.Any
     memory_mb: typing.Any
     precision: typing.Any
@@ -97,6 +98,7 @@ class TalkerOptions:
     cache_dir: typing.Any
     emotion: typing.Any
     eta: typing.Any
+    follow_landmarks: typing.Any
     forward: typing.Any
     fps: typing.Any
     intensity: typing.Any
@@ -313,6 +315,7 @@ class Talker:
         *,
         options: FaceOptions = ...,
         progress: collections.abc.Callable[[str, float], None] | None = None,
+        landmarks: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] = ...,
     ) -> Face: ...
     @property
     def device(self) -> str: ...

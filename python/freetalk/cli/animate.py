@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from freetalk.cli.app import describe
+from freetalk.cli.mesh_options import preparation
 from freetalk.cli.motion_options import diffusion_options
 from freetalk.cli.outputs import (
     AUDIO_SUFFIXES,
@@ -140,9 +141,10 @@ def prepare(
     import freetalk
 
     mesh = freetalk.load_mesh(file) if file is not None else built_in_face()
-    pose = {name: getattr(arguments, name) for name in ("unit", "up", "forward", "precision")}
     landmarks = arguments.landmarks and check_readable(arguments.landmarks, "landmarks")
-    face = talker().prepare(mesh, landmarks=landmarks, **pose, progress=not report.quiet)
+    face = talker().prepare(
+        mesh, landmarks=landmarks, **preparation(arguments), progress=not report.quiet
+    )
     name = file.name if file is not None else "the built-in mean face"
     found = face.report
     report.line(

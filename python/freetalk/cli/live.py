@@ -13,6 +13,7 @@ import numpy as np
 
 from freetalk.cli.animate import Report, built_in_face
 from freetalk.cli.live_out import PacedFrames
+from freetalk.cli.mesh_options import preparation
 from freetalk.cli.outputs import check_readable
 from freetalk.cli.weights import check_intensity, find_weights
 
@@ -42,9 +43,10 @@ def run(arguments: argparse.Namespace) -> None:
 
     report = Report(quiet=False)
     mesh = freetalk.load_mesh(mesh_file) if mesh_file is not None else built_in_face()
-    pose = {name: getattr(arguments, name) for name in ("unit", "up", "forward", "precision")}
     landmarks = arguments.landmarks and check_readable(arguments.landmarks, "landmarks")
-    face = freetalk.Talker.from_pretrained(weights).prepare(mesh, landmarks=landmarks, **pose)
+    face = freetalk.Talker.from_pretrained(weights).prepare(
+        mesh, landmarks=landmarks, **preparation(arguments)
+    )
     for notice in face.report.notices:
         report.line("note", notice, timed=False)
     found = face.report

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 
 def add_landmarks(parser: argparse.ArgumentParser) -> None:
@@ -68,3 +69,15 @@ def add_where(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="where the face is: its 68 landmarks, as 'freetalk mesh landmarks' writes them",
     )
+    parser.add_argument(
+        "--follow-landmarks",
+        choices=("auto", "yes", "no"),
+        default="auto",
+        help="whether the surface is made to follow the motion of the landmarks; auto: as the weights say",
+    )
+
+
+def preparation(arguments: argparse.Namespace) -> dict[str, Any]:
+    """What was given of how a face is prepared, by the names of the library's options."""
+    names = ("unit", "up", "forward", "precision", "follow_landmarks")
+    return {name: getattr(arguments, name) for name in names}

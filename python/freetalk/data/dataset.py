@@ -16,7 +16,7 @@ import numpy as np
 from freetalk.data.codes import HeadCodes, codes_of
 from freetalk.data.emotions import EMOTIONS
 from freetalk.data.errors import DatasetError
-from freetalk.data.pack import FULL_SCALE, SAMPLE_RATE_HZ, FloatArray, Pack
+from freetalk.data.pack import FULL_SCALE, SAMPLE_RATE_HZ, FloatArray, Meshing, Pack
 from freetalk.data.pose import Pose
 from freetalk.data.sequences import FaceMesh, MotionSequence, read_frames, sequences_of
 from freetalk.data.splits import SPLITS
@@ -266,11 +266,14 @@ class Dataset:
                 return name, pack.expressions, extras["landmark_basis"]
         return None
 
+    def meshing(self, topology: str) -> Meshing:
+        """The arrays of a meshing."""
+        found = self._meshing(topology)
+        return self.packs[found.dataset].meshing(str(found.own))
+
     def displacements_of(self, topology: str, weights: FloatArray) -> FloatArray:
         """(T, V, 3) m: what expression weights (T, E) do to a meshing of :meth:`drawn`'s dataset."""
-        meshing = self._meshing(topology)
-        data = self.packs[meshing.dataset].meshing(str(meshing.own))
-        return data.displacements(weights, _NOWHERE)
+        return self.meshing(topology).displacements(weights, _NOWHERE)
 
     def describe(self) -> dict[str, Any]:
         """What results say of the data: kind, unit, frame rate, split, template, masks by count and hash."""

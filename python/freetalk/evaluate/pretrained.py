@@ -15,6 +15,7 @@ from freetalk.ats import Ats, GenerateOptions, generate, generate_batch
 from freetalk.data import Dataset, MotionSequence, interpolate_frames
 from freetalk.speech import SpeechEncoder, encode_speech
 from freetalk.stm import FrameDecoder, Stm
+from freetalk.train.stm_landmarks import FaceLandmarks
 from freetalk.train.stm_meshes import prepare_mesh
 
 FloatArray = npt.NDArray[np.float32]
@@ -179,11 +180,17 @@ class LandmarksToMesh:
     def _prepare(self, dataset: Dataset, identity: int, topology: str) -> FrameDecoder:
         options = self.stm.options
         mesh = prepare_mesh(
-            dataset, identity, topology, options.length_scale, options.k_eig, device=self.device
+            dataset,
+            identity,
+            topology,
+            options.length_scale,
+            options.k_eig,
+            device=self.device,
+            landmarks=FaceLandmarks(dataset) if options.follows_landmarks else None,
         )
         with torch.no_grad():
             features = self.stm.encode(mesh.positions, mesh.operators)
-        return self.stm.frame_decoder(features, mesh.operators)
+        return self.stm.frame_decoder(features, mesh.operators, follower=mesh.follower)
 
 
 def at_rate(motion: FloatArray, fps: float, clip: MotionSequence) -> FloatArray:

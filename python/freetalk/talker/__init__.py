@@ -143,8 +143,9 @@ class Talker:
                 the mesh's own unit and axes, or a file as ``freetalk mesh landmarks`` writes it.
             progress: a progress bar on a terminal, nothing, or a callback (done, total); whatever the callback
                 raises ends the work.
-            options: fields of ``FaceOptions``: unit, up, forward, precision, memory_mb and cache_dir ("auto", the
-                default here: the user's cache folder; None: no file is read or written).
+            options: fields of ``FaceOptions``: unit, up, forward, precision, memory_mb, follow_landmarks ("yes",
+                "no", or "auto": as the weights say) and cache_dir ("auto", the default here: the user's cache
+                folder; None: no file is read or written).
 
         Returns:
             A face, for any number of clips, seeds and threads.
@@ -177,7 +178,12 @@ class Talker:
         upright = FaceOptions.from_dict(
             options.to_dict() | {"unit": "m", "up": "+y", "forward": "+z"}
         )
-        native = self._native.prepare(placement.head(), options=upright, progress=bar.update)
+        native = self._native.prepare(
+            placement.head(),
+            options=upright,
+            progress=bar.update,
+            landmarks=placement.landmarks,
+        )
         return Face(native, self._voice, placement)
 
     def animate(

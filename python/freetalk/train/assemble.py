@@ -85,12 +85,18 @@ def _heard_encoder(out: Path, stage: str) -> dict[str, str]:
 
 def _write_template(path: Path) -> None:
     """Points, normals and landmarks of the mean face, to which meshes are aligned; metres, canonical frame."""
-    from freetalk.corpus import load_face_model, mean_face  # which need seconds to import
+    from freetalk.corpus import mean_face  # which need seconds to import
+    from freetalk.corpus.linear_face import built_in_face
     from freetalk.geometry import sample_template
+    from freetalk.mesh import vertex_normals
 
     points, normals = sample_template(*mean_face("face"), _TEMPLATE_POINTS)
-    model = load_face_model()
-    landmarks = model.neutral[model.landmarks68]
-    arrays = {"points": points, "normals": normals, "landmarks68": landmarks}
+    face = built_in_face()
+    arrays = {
+        "points": points,
+        "normals": normals,
+        "landmarks68": face.neutral[face.landmarks],
+        "outward68": vertex_normals(face.neutral, face.faces)[face.landmarks],
+    }
     tensors = {n: torch.from_numpy(np.asarray(a, dtype=np.float32)) for n, a in arrays.items()}
     _native.core.save_safetensors(str(path), tensors, {"source": "ICT-FaceKit mean face, MIT"})

@@ -19,12 +19,14 @@ from freetalk.train.losses import MILLIMETRES, motion_loss, vertex_errors
 from freetalk.train.previews import Sample
 from freetalk.train.sequences import Epochs
 from freetalk.train.stm_cuts import FaceCuts
+from freetalk.train.stm_landmarks import FaceLandmarks
 from freetalk.train.stm_meshes import (
     Placement,
     PreparedMesh,
     prepare_meshes,
     random_placement,
 )
+from freetalk.train.stm_sculpts import Sculpts
 from freetalk.train.stm_windows import FaceWindows
 from freetalk.train.task_options import StmTaskOptions
 
@@ -54,12 +56,18 @@ class StmTask:
         self.model = Stm(StmOptions.from_dict(config.model)).to(device)
         least = self.model.options.k_eig
         cuts = FaceCuts(self.options.crops, self.options.missing_faces, least)
+        o = self.options
+        known = self.model.options.follows_landmarks or o.bends > 0 or o.sculpts > 0
+        self.landmarks = FaceLandmarks(corpus) if known else None
         self.meshes = self._prepare(
             "train", self.options.num_meshes, self.options.max_vertices, cuts
         )
         self._held_out_meshes = self._prepare("val", _VALIDATION_MESHES, 0)
         shares, frames = self.options.source_weights, self.options.frames
-        self.windows = FaceWindows(corpus, self.meshes, "train", shares, frames)
+        sculpts = None
+        if self.landmarks is not None and o.sculpts > 0:
+            sculpts = Sculpts(corpus, self.landmarks)
+        self.windows = FaceWindows(corpus, self.meshes, "train", shares, frames, sculpts, o.sculpts)
         self.epochs = Epochs(self.windows.sampler.sequences, frames, config.loop.seed)
         self._in_epochs = config.loop.epochs > 0
         self.held_out = FaceWindows(corpus, self._held_out_meshes, "val", {}, frames)
@@ -98,9 +106,13 @@ class StmTask:
         for item in batch["items"]:
             mesh = self.meshes[item["mesh"]]
             placement = Placement(item["rotation"], item["translation"], item["scale"])
-            prediction = self._predict(mesh, item["landmarks"], placement)
+            prediction, plain = self._predict(mesh, item["landmarks"], placement)
             target = placement.turned(item["target"])
-            for name, value in self._terms(mesh, prediction, target).items():
+            terms = self._terms(mesh, prediction, target)
+            if plain is not prediction and self.options.plain_weight > 0:
+                terms["plain"] = self._terms(mesh, plain, target)["loss"]
+                terms["loss"] = terms["loss"] + self.options.plain_weight * terms["plain"]
+            for name, value in terms.items():
                 totals[name] = totals.get(name, torch.zeros((), device=self.device)) + value
         return {name: value / len(batch["items"]) for name, value in totals.items()}
 
@@ -114,7 +126,7 @@ class StmTask:
             rng = np.random.default_rng([_VALIDATION_SEED, number])
             window = self.held_out.draw_on(number // per_mesh, rng)
             landmarks = torch.from_numpy(window.landmarks).to(self.device)
-            prediction = self._predict(mesh, landmarks, still)
+            prediction, _ = self._predict(mesh, landmarks, still)
             target = torch.from_numpy(window.target).to(self.device)
             lips = mesh.lip_mask.nonzero()[:, 0]
             sums = [(prediction - target).norm(dim=-1), target.norm(dim=-1)]
@@ -155,7 +167,9 @@ class StmTask:
         frames = min(_SAMPLE_FRAMES, sequence.num_frames)
         landmarks = torch.from_numpy(self.corpus.landmarks(sequence, 0, frames)).to(self.device)
         still = Placement(torch.eye(3, device=self.device), torch.zeros(3, device=self.device), 1.0)
-        parts = [self._predict(mesh, part, still) for part in landmarks.split(self.options.frames)]
+        parts = [
+            self._predict(mesh, part, still)[0] for part in landmarks.split(self.options.frames)
+        ]
         face = self.corpus.mesh(mesh.identity, mesh.topology)
         rate = self.corpus.sample_rate_hz
         audio = self.corpus.audio(sequence) if sequence.has_sound else np.zeros(0, np.float32)
@@ -169,14 +183,21 @@ class StmTask:
             sample_rate_hz=rate,
         )
 
-    def _predict(self, mesh: PreparedMesh, landmarks: Tensor, placement: Placement) -> Tensor:
-        """Predicted displacements of a window, (T, V, 3) m, of landmarks (T, 68, 3) m in place."""
-        prediction: Tensor = self.model(
-            placement.moved(mesh.positions),
-            placement.operators(mesh.operators),
-            placement.turned(landmarks),
-        )
-        return prediction.float()
+    def _predict(
+        self, mesh: PreparedMesh, landmarks: Tensor, placement: Placement
+    ) -> tuple[Tensor, Tensor]:
+        """Displacements of a window, (T, V, 3) m, of landmarks (T, 68, 3) m in place; and what the decoder gives.
+
+        The two are one unless the model follows its landmarks.
+        """
+        moving = placement.turned(landmarks)
+        plain: Tensor = self.model(
+            placement.moved(mesh.positions), placement.operators(mesh.operators), moving
+        ).float()
+        if mesh.follower is None or not self.model.options.follows_landmarks:
+            return plain, plain
+        with torch.autocast(plain.device.type, enabled=False):
+            return mesh.follower.apply(plain, moving), plain
 
     def _terms(self, mesh: PreparedMesh, prediction: Tensor, target: Tensor) -> dict[str, Tensor]:
         o = self.options
@@ -219,4 +240,6 @@ class StmTask:
             str(cache),
             self.device,
             cuts,
+            self.landmarks,
+            self.options.bends if cuts is not None else 0.0,
         )

@@ -15,11 +15,15 @@ from tqdm import tqdm
 
 from freetalk.data import Dataset
 from freetalk.geometry import SurfaceOperators, surface_operators
+from freetalk.stm import LandmarkFollower
 from freetalk.train.progress import notice
 from freetalk.train.stm_cuts import FaceCuts
+from freetalk.train.stm_landmarks import FaceLandmarks
+from freetalk.train.stm_sculpts import Bend
 
 #: Bytes of a cache folder that nothing empties: the faces of a large dataset must not drive each other out.
 _UNLIMITED = 1 << 62
+_SEED = 70
 
 
 @dataclass
@@ -34,6 +38,8 @@ class PreparedMesh:
         lip_mask: (V,) bool.
         dataset: name of the dataset, whose sequences move it.
         kept: (V,) the meshing's vertices that are left after a crop; None where all are.
+        bend: what gave the face other proportions than the corpus's; None where it has those.
+        follower: of its landmarks; None where they are not asked for.
     """
 
     identity: int
@@ -43,6 +49,8 @@ class PreparedMesh:
     lip_mask: Tensor
     dataset: str
     kept: npt.NDArray[np.int64] | None = None
+    bend: Bend | None = None
+    follower: LandmarkFollower | None = None
 
 
 @dataclass(frozen=True)
@@ -98,14 +106,25 @@ def prepare_mesh(
     device: torch.device | None = None,
     cuts: FaceCuts | None = None,
     index: int = 0,
+    landmarks: FaceLandmarks | None = None,
+    bends: float = 0.0,
 ) -> PreparedMesh:
     """A corpus face with its operators, from the disk cache where they are known.
 
-    A `cache_dir` of its own keeps all that is put there, the user's only what was used last. With `cuts` it loses what they take from the `index`-th face.
+    A `cache_dir` of its own keeps all that is put there, the user's only what was used last. With `cuts` it loses what they take from the `index`-th face, and a share `bends` of such faces gets other
+    proportions. With `landmarks` it follows them: in training as certain as they may be, else where they are.
     """
     device = device or torch.device("cpu")
     mesh = corpus.mesh(identity, topology)
-    kept = None
+    kept, bend, follower = None, None, None
+    rng = np.random.default_rng([_SEED, index])
+    if landmarks is not None:
+        whole = mesh.vertices.astype(np.float64)
+        places = landmarks.on(topology, mesh).of(whole)
+        if rng.random() < bends:
+            bend = Bend(rng, places)
+            places = bend(places)
+            mesh = replace(mesh, vertices=bend(whole).astype(np.float32))
     left = cuts.of(mesh, index) if cuts is not None else None
     if left is not None:
         kept, faces = left
@@ -116,6 +135,9 @@ def prepare_mesh(
             lip_mask=mesh.lip_mask[kept],
             upper_face_mask=mesh.upper_face_mask[kept],
         )
+    if landmarks is not None:
+        drawn = rng if cuts is not None else None
+        follower = landmarks.follower(mesh.vertices, mesh.faces, places, drawn).to(device)
     own: dict[str, Any] = {"cache": cache_dir, "max_cache_bytes": _UNLIMITED} if cache_dir else {}
     operators: Any = surface_operators(
         mesh.vertices.astype(np.float64) / length_scale,
@@ -132,6 +154,8 @@ def prepare_mesh(
         lip_mask=torch.from_numpy(mesh.lip_mask).to(device),
         dataset=mesh.dataset,
         kept=kept,
+        bend=bend,
+        follower=follower,
     )
 
 
@@ -145,6 +169,8 @@ def prepare_meshes(
     cache_dir: str,
     device: torch.device,
     cuts: FaceCuts | None = None,
+    landmarks: FaceLandmarks | None = None,
+    bends: float = 0.0,
 ) -> list[PreparedMesh]:
     """Faces of a split, in the order of ``corpus.faces``.
 
@@ -158,6 +184,8 @@ def prepare_meshes(
         cache_dir: folder of operators, empty for the user's cache.
         device: where the tensors go.
         cuts: what the faces lose; None leaves them whole.
+        landmarks: where they are on the faces, which follow them; None for neither.
+        bends: share of the faces that get other proportions, which needs `landmarks`.
     """
     small = corpus.faces(split, max_vertices)
     pairs = small or corpus.faces(split)
@@ -167,7 +195,17 @@ def prepare_meshes(
         raise ValueError(f"{corpus.name} has no faces or no meshings in its {split} split")
     return [
         prepare_mesh(
-            corpus, identity, topology, length_scale, k_eig, cache_dir, device, cuts, index
+            corpus,
+            identity,
+            topology,
+            length_scale,
+            k_eig,
+            cache_dir,
+            device,
+            cuts,
+            index,
+            landmarks,
+            bends,
         )
         for index, (identity, topology) in enumerate(
             tqdm(pairs[: count or len(pairs)], desc=f"{split} operators", unit="mesh")

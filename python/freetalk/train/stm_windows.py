@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +12,7 @@ import numpy.typing as npt
 from freetalk.data import Dataset, MotionSequence
 from freetalk.train.sequences import SequenceSampler, present_weights
 from freetalk.train.stm_meshes import PreparedMesh, random_weights
+from freetalk.train.stm_sculpts import Sculpts
 
 FloatArray = npt.NDArray[np.float32]
 _Key = tuple[str, int, str]
@@ -42,6 +44,8 @@ class FaceWindows:
             expressions. Sources that are not there are left out. Empty takes all sources in
             proportion to their length.
         frames: T.
+        sculpts: draw other motion of the same expressions; None leaves it as it is.
+        sculpted: share of the windows of which they do.
 
     Raises:
         ValueError: no sequence can move any of the faces.
@@ -54,8 +58,11 @@ class FaceWindows:
         split: str,
         source_weights: dict[str, float],
         frames: int,
+        sculpts: Sculpts | None = None,
+        sculpted: float = 0.0,
     ) -> None:
         self.corpus, self.frames = corpus, frames
+        self._sculpts, self._sculpted = sculpts, sculpted
         self._meshes = list(meshes)
         self._by_key: dict[_Key, list[int]] = {}
         for index, mesh in enumerate(self._meshes):
@@ -107,8 +114,10 @@ class FaceWindows:
         start = drawn if first is None else first
         stop = start + self.frames
         face = self._meshes[mesh]
+        if self._is_sculpted(face, rng):
+            return self._sculpture(mesh, self.corpus.weights(sequence, start, stop), rng)
         moved = self.corpus.vertex_displacements(face.topology, sequence, start, stop)
-        return Window(mesh, self.corpus.landmarks(sequence, start, stop), _left(face, moved))
+        return self._window(mesh, self.corpus.landmarks(sequence, start, stop), moved)
 
     def _sampler_of(self, mesh: int) -> SequenceSampler:
         if mesh not in self._of_mesh:
@@ -132,9 +141,30 @@ class FaceWindows:
         weights = random_weights(rng, self.frames, len(self._expressions))
         mesh = self._faces[int(rng.integers(len(self._faces)))]
         face = self._meshes[mesh]
+        if self._is_sculpted(face, rng):
+            return self._sculpture(mesh, weights, rng)
         moved = self.corpus.displacements_of(face.topology, weights)
-        landmarks = np.tensordot(weights, self._basis, axes=1).astype(np.float32)
-        return Window(mesh, landmarks, _left(face, moved))
+        return self._window(mesh, np.tensordot(weights, self._basis, axes=1), moved)
+
+    def _is_sculpted(self, face: PreparedMesh, rng: np.random.Generator) -> bool:
+        known = self._sculpts is not None and face.dataset == self._sculpts.dataset
+        return known and rng.random() < self._sculpted
+
+    def _sculpture(self, mesh: int, weights: FloatArray, rng: np.random.Generator) -> Window:
+        """A window of expressions as another sculpt of the face has them."""
+        assert self._sculpts is not None
+        face = self._meshes[mesh]
+        whole = self.corpus.mesh(face.identity, face.topology)
+        return self._window(mesh, *self._sculpts.motion(rng, face.topology, whole, weights))
+
+    def _window(self, mesh: int, landmarks: npt.NDArray[Any], moved: npt.NDArray[Any]) -> Window:
+        """Motion (T, 68, 3) and (T, V, 3) of a face as the corpus has it, on what was made of the face."""
+        face = self._meshes[mesh]
+        if face.bend is not None:
+            whole = self.corpus.mesh(face.identity, face.topology)
+            landmarks = face.bend.motion(face.bend.landmarks, landmarks)
+            moved = face.bend.motion(whole.vertices, moved)
+        return Window(mesh, landmarks.astype(np.float32), _left(face, moved.astype(np.float32)))
 
 
 def _left(face: PreparedMesh, displacements: FloatArray) -> FloatArray:

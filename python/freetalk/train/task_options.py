@@ -126,6 +126,11 @@ class StmTaskOptions:
         crops: share of the faces drawn that are cropped at random around eyes, nose and mouth, so
             that the network does not depend on where a mesh ends.
         missing_faces: largest share of a cropped face's triangles that is taken away.
+        bends: share of the faces drawn that get other proportions by a smooth map of space.
+        sculpts: share of the windows whose motion is changed as another artist's sculpt of the same
+            expressions would have it, see ``freetalk.train.stm_sculpts``; 0 for the corpus's own.
+        plain_weight: of a model that follows its landmarks: weight of the loss of its output before
+            it is made to follow them.
         source_weights: share of each source in the batches; ``random`` is drawn combinations of
             expressions of the open corpus. Names that the data lacks are left out. Empty takes all
             sources in proportion to their length.
@@ -151,6 +156,9 @@ class StmTaskOptions:
     max_vertices: int = 0
     crops: float = 0.0
     missing_faces: float = 0.0
+    bends: float = 0.0
+    sculpts: float = 0.0
+    plain_weight: float = 0.3
     source_weights: dict[str, float] = field(default_factory=dict)
     rotation_deg: float = 0.0
     translation_m: float = 0.0
@@ -173,6 +181,9 @@ class StmTaskOptions:
             "task.missing_faces must be in [0, 1)",
             self.missing_faces,
         )
+        require(0 <= self.bends <= 1, "task.bends must be in [0, 1]", self.bends)
+        require(0 <= self.sculpts <= 1, "task.sculpts must be in [0, 1]", self.sculpts)
+        require(self.plain_weight >= 0, "task.plain_weight must not be negative", self.plain_weight)
         require(self.lip_weight > 0, "task.lip_weight must be positive", self.lip_weight)
 
 

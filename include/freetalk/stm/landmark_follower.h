@@ -1,0 +1,63 @@
+// STM's output made to follow its landmarks where they are on the mesh.
+//
+// What the decoder D does at the landmarks' places x_i differs from the motion dl_i that it was
+// told wherever a face moves unlike those of the training. The difference is spread over the
+// surface (regression kriging, geometry/kriging.h) and the whole fades out away from the landmarks:
+//   d(v) = reach(v) [D(v) + sum_i weights(v, i) (dl_i - D(x_i))]
+// It is linear in D and dl, so that a network can be trained through it.
+#pragma once
+
+#include <ATen/core/Tensor.h>
+#include <c10/core/Device.h>
+#include <Eigen/Core>
+
+#include "freetalk/geometry/kriging.h"
+
+namespace freetalk::stm {
+
+struct FollowOptions {
+  geometry::KrigingOptions kriging;  // of the difference; range in metres
+  double farthest = 0.012;  // m: a landmark farther from the surface than this is not followed
+  double near = 0.07;       // m: motion is whole nearer to a landmark than this,
+  double far = 0.12;        // m: and none beyond this
+  template <class V>
+  void fields(V& v) {
+    kriging.fields(v);
+    v("farthest", farthest);
+    v("near", near);
+    v("far", far);
+  }
+  /// @throws std::invalid_argument naming the option at fault.
+  void check() const;
+};
+
+/// What following needs of a mesh, computed once; immutable.
+class LandmarkFollower {
+ public:
+  /// @param vertices (V, 3) m, canonical frame. @param faces (F, 3).
+  /// @param landmarks (68, 3) m: where they are, on the surface or near it.
+  /// @param normals (68, 3) outward there, zero where unknown (see geometry::nearest_on_surface).
+  /// @throws std::invalid_argument for other shapes.
+  LandmarkFollower(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
+                   const Eigen::MatrixXd& landmarks, const Eigen::MatrixXd& normals,
+                   const FollowOptions& options = {});
+
+  /// @param displacements (T, V, 3) of the decoder, m. @param landmarks (T, 68, 3), m.
+  /// @returns (T, V, 3); differentiable.
+  at::Tensor apply(const at::Tensor& displacements, const at::Tensor& landmarks) const;
+
+  /// A copy on a device.
+  LandmarkFollower to(const c10::Device& device) const;
+
+  int64_t num_followed() const { return num_followed_; }
+  const at::Tensor& corners() const { return corners_; }  ///< (68, 3) int64 vertices
+  const at::Tensor& shares() const { return shares_; }    ///< (68, 3) barycentric on them
+  const at::Tensor& weights() const { return weights_; }  ///< (V, 68); 0 for what is not followed
+  const at::Tensor& reach() const { return reach_; }      ///< (V, 1) in [0, 1]
+
+ private:
+  at::Tensor corners_, shares_, weights_, reach_;
+  int64_t num_followed_ = 0;
+};
+
+}  // namespace freetalk::stm

@@ -1,0 +1,94 @@
+#include "freetalk/stm/landmark_follower.h"
+
+#include <ATen/ATen.h>
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "freetalk/core/conventions.h"
+#include "freetalk/core/error.h"
+#include "geometry/tensor_conversion.h"
+
+namespace freetalk::stm {
+namespace {
+
+using core::kNumLandmarks;
+
+/// (V, 1) how much of the motion is made at each vertex.
+Eigen::MatrixXd reach_of(const Eigen::MatrixXd& vertices, const Eigen::MatrixXd& landmarks,
+                         const FollowOptions& options) {
+  Eigen::MatrixXd reach(vertices.rows(), 1);
+  for (Eigen::Index v = 0; v < vertices.rows(); ++v) {
+    const double distance =
+        std::sqrt((landmarks.rowwise() - vertices.row(v)).rowwise().squaredNorm().minCoeff());
+    const double u = std::clamp((distance - options.near) / (options.far - options.near), 0.0, 1.0);
+    reach(v, 0) = 1.0 - u * u * (3.0 - 2.0 * u);
+  }
+  return reach;
+}
+
+}  // namespace
+
+void FollowOptions::check() const {
+  kriging.check();
+  FREETALK_CHECK(farthest > 0, "STM: farthest must be positive, found ", farthest);
+  FREETALK_CHECK(near >= 0 && far > near, "STM: far must be above near, found ", far, " and ",
+                 near);
+}
+
+LandmarkFollower::LandmarkFollower(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
+                                   const Eigen::MatrixXd& landmarks, const Eigen::MatrixXd& normals,
+                                   const FollowOptions& options) {
+  options.check();
+  FREETALK_CHECK(landmarks.rows() == kNumLandmarks && landmarks.cols() == 3,
+                 "STM: expected landmarks (68, 3), found (", landmarks.rows(), ", ",
+                 landmarks.cols(), ")");
+  const auto places = geometry::nearest_on_surface(vertices, faces, landmarks, normals);
+  std::vector<Eigen::Index> near;
+  for (Eigen::Index n = 0; n < kNumLandmarks; ++n) {
+    if (places.distance[n] <= options.farthest) near.push_back(n);
+  }
+  num_followed_ = static_cast<int64_t>(near.size());
+  Eigen::MatrixXd weights = Eigen::MatrixXd::Zero(vertices.rows(), kNumLandmarks);
+  if (!near.empty()) {
+    weights(Eigen::all, near) = geometry::kriging_weights(
+        vertices, faces,
+        {places.corners(near, Eigen::all), places.shares(near, Eigen::all), places.distance(near)},
+        options.kriging);
+  }
+  const auto plain = [](const Eigen::MatrixXd& matrix) {
+    return geometry::to_tensor(matrix).to(at::kFloat);
+  };
+  corners_ = geometry::to_tensor(places.corners.cast<double>()).to(at::kLong);
+  shares_ = plain(places.shares);
+  weights_ = plain(weights);
+  reach_ = plain(reach_of(vertices, landmarks, options));
+}
+
+at::Tensor LandmarkFollower::apply(const at::Tensor& displacements,
+                                   const at::Tensor& landmarks) const {
+  FREETALK_CHECK(displacements.dim() == 3 && displacements.size(1) == weights_.size(0) &&
+                     displacements.size(2) == 3,
+                 "STM: expected displacements (T, ", weights_.size(0), ", 3), found ",
+                 displacements.sizes());
+  FREETALK_CHECK(landmarks.dim() == 3 && landmarks.size(0) == displacements.size(0) &&
+                     landmarks.size(1) == kNumLandmarks && landmarks.size(2) == 3,
+                 "STM: expected landmarks (", displacements.size(0), ", 68, 3), found ",
+                 landmarks.sizes());
+  const at::Tensor there = displacements.index_select(1, corners_.flatten())
+                               .view({-1, kNumLandmarks, 3, 3})
+                               .mul(shares_.unsqueeze(-1))
+                               .sum(2);  // (T, 68, 3)
+  return reach_ * (displacements + at::matmul(weights_, landmarks - there));
+}
+
+LandmarkFollower LandmarkFollower::to(const c10::Device& device) const {
+  LandmarkFollower result = *this;
+  for (auto* tensor : {&result.corners_, &result.shares_, &result.weights_, &result.reach_}) {
+    *tensor = tensor->to(device);
+  }
+  return result;
+}
+
+}  // namespace freetalk::stm

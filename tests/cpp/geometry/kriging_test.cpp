@@ -1,0 +1,130 @@
+#include "freetalk/geometry/kriging.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+namespace freetalk::geometry {
+namespace {
+
+/// A square of 0.1 m with 21 x 21 vertices; with `slit`, rows 0-10 and 11-20 share no vertex but at
+/// the sides.
+struct Square {
+  Eigen::MatrixXd vertices{441, 3};
+  Eigen::MatrixXi faces;
+  explicit Square(bool slit) {
+    std::vector<std::array<int, 3>> triangles;
+    for (int i = 0; i < 21; ++i) {
+      for (int j = 0; j < 21; ++j) {
+        vertices.row(21 * i + j) << 0.005 * j, 0.005 * i, 0.0;
+        const bool open = slit && i == 10 && j > 1 && j < 18;
+        if (i == 20 || j == 20 || open) continue;
+        const int a = 21 * i + j;
+        triangles.push_back({a, a + 1, a + 22});
+        triangles.push_back({a, a + 22, a + 21});
+      }
+    }
+    faces.resize(static_cast<Eigen::Index>(triangles.size()), 3);
+    for (size_t f = 0; f < triangles.size(); ++f) {
+      for (int c = 0; c < 3; ++c) {
+        faces(static_cast<Eigen::Index>(f), c) = triangles[f][static_cast<size_t>(c)];
+      }
+    }
+  }
+};
+
+SurfacePoints at_vertices(const std::vector<int>& vertices) {
+  SurfacePoints points;
+  const auto count = static_cast<Eigen::Index>(vertices.size());
+  points.corners.resize(count, 3);
+  points.shares = Eigen::MatrixXd::Zero(count, 3);
+  points.distance = Eigen::VectorXd::Zero(count);
+  for (Eigen::Index n = 0; n < count; ++n) {
+    points.corners.row(n).setConstant(vertices[static_cast<size_t>(n)]);
+    points.shares(n, 0) = 1.0;
+  }
+  return points;
+}
+
+constexpr int kBelow = 21 * 9 + 10, kAbove = 21 * 12 + 10;  // 15 mm apart across the slit
+
+TEST(Kriging, KeepsTheValuesAtThePoints) {
+  const Square square(false);
+  const std::vector<int> chosen = {21 * 5 + 5, 21 * 6 + 15, 21 * 15 + 10};
+  const Eigen::MatrixXd weights =
+      kriging_weights(square.vertices, square.faces, at_vertices(chosen), {0.02, 1e-8});
+  const Eigen::MatrixXd there = weights(chosen, Eigen::all);
+  EXPECT_LT((there - Eigen::MatrixXd::Identity(3, 3)).cwiseAbs().maxCoeff(), 1e-6);
+}
+
+TEST(Kriging, NothingCrossesASlit) {
+  const SurfacePoints points = at_vertices({kBelow});
+  const Square whole(false), cut(true);
+  const double through = kriging_weights(whole.vertices, whole.faces, points)(kAbove, 0);
+  const double around = kriging_weights(cut.vertices, cut.faces, points)(kAbove, 0);
+  EXPECT_GT(through, 0.5);
+  EXPECT_LT(around, 0.25 * through);
+}
+
+TEST(Kriging, FadesWithTheRange) {
+  const Square square(false);
+  const SurfacePoints corner = at_vertices({0});
+  const auto far = [&](double range) {
+    return kriging_weights(square.vertices, square.faces, corner, {range, 0.005})(440, 0);
+  };
+  EXPECT_LT(far(0.005), 1e-3);
+  EXPECT_GT(far(0.2), 0.5);
+}
+
+TEST(Kriging, LooseFragmentsFollowWhatTheyLieOn) {
+  Square square(false);
+  Eigen::MatrixXd vertices(444, 3);
+  vertices << square.vertices,
+      Eigen::MatrixXd(square.vertices(std::vector{199, 200, 220}, Eigen::all));
+  vertices.bottomRows(3).col(2).array() += 1e-3;
+  Eigen::MatrixXi faces(square.faces.rows() + 1, 3);
+  faces << square.faces, Eigen::RowVector3i(441, 442, 443);
+  const Eigen::MatrixXd weights = kriging_weights(vertices, faces, at_vertices({kBelow, 0}));
+  EXPECT_LT((weights.row(441) - weights.row(199)).cwiseAbs().maxCoeff(), 0.05);
+}
+
+TEST(Kriging, OptionsOutOfRangeAreRefused) {
+  const Square square(false);
+  EXPECT_THROW(kriging_weights(square.vertices, square.faces, at_vertices({0}), {0.0, 0.1}),
+               std::invalid_argument);
+  EXPECT_THROW(kriging_weights(square.vertices, square.faces, at_vertices({0}), {0.1, 0.0}),
+               std::invalid_argument);
+  EXPECT_THROW(kriging_weights(square.vertices, square.faces, at_vertices({})),
+               std::invalid_argument);
+}
+
+TEST(NearestOnSurface, FindsThePlaceInATriangleAndItsDistance) {
+  const Square square(false);
+  Eigen::MatrixXd point(1, 3), up(1, 3);
+  point << 0.0123, 0.0456, 0.003;
+  up << 0, 0, 1;
+  const SurfacePoints found = nearest_on_surface(square.vertices, square.faces, point, up);
+  Eigen::Vector3d place = Eigen::Vector3d::Zero();
+  for (int i = 0; i < 3; ++i) {
+    place += found.shares(0, i) * square.vertices.row(found.corners(0, i)).transpose();
+  }
+  EXPECT_LT((place - Eigen::Vector3d(0.0123, 0.0456, 0.0)).norm(), 1e-12);
+  EXPECT_NEAR(found.distance[0], 0.003, 1e-12);
+}
+
+TEST(NearestOnSurface, TakesTheSideThatFacesTheNormal) {
+  const Square square(false);
+  Eigen::MatrixXd vertices(882, 3);  // a second sheet 1 mm below, turned over
+  vertices << square.vertices, square.vertices;
+  vertices.bottomRows(441).col(2).array() -= 1e-3;
+  Eigen::MatrixXi faces(2 * square.faces.rows(), 3);
+  faces << square.faces, square.faces.rowwise().reverse().array() + 441;
+  Eigen::MatrixXd point(1, 3), normal(1, 3);
+  point << 0.05, 0.05, 0.0;
+  normal << 0, 0, -1;
+  EXPECT_GE(nearest_on_surface(vertices, faces, point, normal).corners.minCoeff(), 441);
+  EXPECT_LT(nearest_on_surface(vertices, faces, point, -normal).corners.maxCoeff(), 441);
+}
+
+}  // namespace
+}  // namespace freetalk::geometry

@@ -1,0 +1,160 @@
+"""The surface follows its landmarks: exactly where they are, smoothly around, not at all far away."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import freetalk
+from freetalk.corpus.assets import EXTENTS, crop_quads, load_face_model, triangulate
+from freetalk.corpus.linear_face import built_in_face
+from freetalk.geometry import surface_operators
+from freetalk.mesh import vertex_normals
+from freetalk.stm import FollowOptions, LandmarkFollower, Stm
+
+SHIPPED = Path(freetalk.__file__).parent / "pretrained" / "open-small"
+FRAMES = 12
+
+
+def follower_of(vertices: np.ndarray, faces: np.ndarray, **options: float) -> LandmarkFollower:
+    face = built_in_face()
+    neutral = np.asarray(face.neutral, np.float64)
+    return LandmarkFollower(
+        vertices,
+        faces,
+        landmarks=neutral[face.landmarks],
+        normals=vertex_normals(neutral, face.faces)[face.landmarks],
+        options=FollowOptions(**options),
+    )
+
+
+@pytest.fixture(scope="module")
+def head() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices (V, 3) m, faces and landmarks (68,) of the mean head, with neck and sockets."""
+    model = load_face_model()
+    vertices = model.neutral[: EXTENTS["sockets"]].astype(np.float64)
+    return vertices, triangulate(crop_quads(model, "sockets")), model.landmarks68
+
+
+@pytest.fixture(scope="module")
+def follower(head: tuple[np.ndarray, np.ndarray, np.ndarray]) -> LandmarkFollower:
+    return follower_of(*head[:2])
+
+
+@pytest.fixture(scope="module")
+def told() -> torch.Tensor:
+    """Landmark motion that no face of the training makes: smooth over time, random from one to the next."""
+    rng = np.random.default_rng(0)
+    phases = 2 * np.pi * rng.random((1, 68, 3))
+    times = np.arange(FRAMES)[:, None, None] / 30
+    return torch.from_numpy((0.003 * np.sin(4 * times + phases)).astype(np.float32))
+
+
+@pytest.fixture(scope="module")
+def decoded(
+    head: tuple[np.ndarray, np.ndarray, np.ndarray],
+    follower: LandmarkFollower,
+    told: torch.Tensor,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """What the shipped network gives, as it is and following (T, V, 3)."""
+    stm = Stm.from_pretrained(SHIPPED / "stm").eval()
+    vertices, faces, _ = head
+    operators = surface_operators(
+        vertices / stm.options.length_scale, faces, k=stm.options.k_eig, cache=False
+    ).to(dtype=torch.float32)
+    with torch.no_grad():
+        features = stm.encode(torch.from_numpy(vertices).float(), operators)
+    return (
+        stm.frame_decoder(features, operators).decode(told),
+        stm.frame_decoder(features, operators, follower=follower).decode(told),
+    )
+
+
+def test_landmarks_move_as_told_on_any_motion(
+    head: tuple[np.ndarray, np.ndarray, np.ndarray],
+    decoded: tuple[torch.Tensor, torch.Tensor],
+    told: torch.Tensor,
+) -> None:
+    """Smooth or not: of random motion a twentieth is taken for noise where landmarks lie close together."""
+    plain, following = (moved[:, head[2].tolist()] for moved in decoded)
+    size = told.norm(dim=-1).mean()
+    assert (plain - told).norm(dim=-1).mean() > 0.2 * size
+    assert (following - told).norm(dim=-1).mean() < 0.05 * size
+
+
+def test_expressions_of_a_face_move_the_landmarks_to_a_fiftieth(
+    head: tuple[np.ndarray, np.ndarray, np.ndarray], follower: LandmarkFollower
+) -> None:
+    model = load_face_model()
+    names = ("jawOpen", "mouthPucker", "mouthSmile_L", "browInnerUp_L", "eyeBlink_R", "jawLeft")
+    told = torch.from_numpy(model.landmark_basis[[model.index(name) for name in names]])
+    still = torch.zeros(len(names), len(head[0]), 3)
+    moved = follower.apply(still, told)[:, head[2].tolist()]
+    assert (moved - told).norm(dim=-1).sum() < 0.02 * told.norm(dim=-1).sum()
+
+
+def test_nothing_moves_far_from_the_landmarks(
+    head: tuple[np.ndarray, np.ndarray, np.ndarray], decoded: tuple[torch.Tensor, torch.Tensor]
+) -> None:
+    vertices, _, landmarks = head
+    marks = vertices[landmarks]
+    far = np.linalg.norm(vertices[:, None] - marks[None], axis=-1).min(axis=1) > 0.12
+    lips = decoded[1][:, landmarks[48:].tolist()].norm(dim=-1).mean()
+    assert far.any() and decoded[1][:, torch.from_numpy(far)].norm(dim=-1).max() <= 0.01 * lips
+
+
+def test_following_adds_no_jerk(decoded: tuple[torch.Tensor, torch.Tensor]) -> None:
+    """Per motion: following makes more motion of landmarks that the network ignored."""
+    plain, following = (
+        moved.diff(n=3, dim=0).norm(dim=-1).mean() / moved.norm(dim=-1).mean() for moved in decoded
+    )
+    assert following <= plain
+
+
+def test_lips_part_without_pulling_each_other(
+    head: tuple[np.ndarray, np.ndarray, np.ndarray], follower: LandmarkFollower
+) -> None:
+    """Inner landmarks of the lower lip alone are moved: the upper lip stays."""
+    told = torch.zeros(1, 68, 3)
+    told[:, [55, 56, 57, 58, 59, 65, 66, 67], 1] = -0.01
+    moved = follower.apply(torch.zeros(1, len(head[0]), 3), told)[0, :, 1]
+    indices = head[2]
+    assert (moved[indices[[61, 62, 63]].tolist()].abs() < 0.0005).all()
+    assert (moved[indices[[65, 66, 67]].tolist()] < -0.009).all()
+
+
+def test_a_landmark_off_the_mesh_is_not_followed(
+    head: tuple[np.ndarray, np.ndarray, np.ndarray],
+) -> None:
+    vertices, faces, landmarks = head
+    above = vertices[:, 1] > vertices[landmarks[33], 1] - 0.005  # without mouth and chin
+    used, corners = np.unique(faces[above[faces].all(axis=1)], return_inverse=True)
+    cut = follower_of(vertices[used], corners.reshape(-1, 3))
+    assert cut.num_followed < 60
+    assert cut.weights[:, [8, 57]].abs().max() == 0 and cut.weights[:, 30].max() > 0.5
+    assert follower_of(vertices, faces).num_followed == 68
+
+
+def test_it_is_differentiable(
+    head: tuple[np.ndarray, np.ndarray, np.ndarray], follower: LandmarkFollower, told: torch.Tensor
+) -> None:
+    """A network is trained through it: what is told replaces what the network has there."""
+    given = torch.zeros(FRAMES, len(head[0]), 3, requires_grad=True)
+    follower.apply(given, told).square().sum().backward()
+    assert given.grad is not None and given.grad.abs().max() > 0
+
+
+def test_other_shapes_are_refused(
+    head: tuple[np.ndarray, np.ndarray, np.ndarray], follower: LandmarkFollower, told: torch.Tensor
+) -> None:
+    with pytest.raises(ValueError, match="displacements"):
+        follower.apply(torch.zeros(FRAMES, 7, 3), told)
+    with pytest.raises(ValueError, match="landmarks"):
+        follower.apply(torch.zeros(2, len(head[0]), 3), told)
+    with pytest.raises(ValueError, match="noise"):
+        follower_of(*head[:2], noise=0.0)
+    with pytest.raises(ValueError, match="far must be above near"):
+        follower_of(*head[:2], near=0.2)
