@@ -24,8 +24,10 @@ namespace {
 using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 using Corners = std::array<Eigen::Vector3d, 3>;
 
-constexpr double kSideLength = 6e-3;  // m, what a normal at right angles counts as
-constexpr double kAnySide = -2.0;     // cosine
+// What a normal at right angles counts as, m: where the place is guessed, and where it is exact.
+constexpr double kGuessed = 6e-3, kExact = 6e-4;
+constexpr double kAsNear = 5e-4;   // m: the side counts where it costs no more than this
+constexpr double kAnySide = -2.0;  // cosine
 
 /// Barycentric weights of the point of a segment nearest to `point`.
 std::pair<double, double> nearest_on_edge(const Eigen::Vector3d& a, const Eigen::Vector3d& b,
@@ -63,7 +65,8 @@ Eigen::Vector3d nearest_in_triangle(const Corners& corners, const Eigen::Vector3
 
 /// (N,) the vertex of each point, by distance and normal.
 Eigen::VectorXi nearest_vertices(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
-                                 const Eigen::MatrixXd& points, const Eigen::MatrixXd& normals) {
+                                 const Eigen::MatrixXd& points, const Eigen::MatrixXd& normals,
+                                 double side_length) {
   std::vector<int> used(faces.data(), faces.data() + faces.size());
   std::sort(used.begin(), used.end());
   used.erase(std::unique(used.begin(), used.end()), used.end());
@@ -74,9 +77,41 @@ Eigen::VectorXi nearest_vertices(const Eigen::MatrixXd& vertices, const Eigen::M
   for (Eigen::Index n = 0; n < points.rows(); ++n) {
     const int found =
         tree.nearest(points.row(n).transpose(), normals.row(n).transpose(),
-                     std::numeric_limits<double>::infinity(), kAnySide, kSideLength / std::sqrt(2));
+                     std::numeric_limits<double>::infinity(), kAnySide, side_length / std::sqrt(2));
     FREETALK_CHECK(found >= 0, "nearest places on a surface: point ", n, " is not finite");
     result[n] = used[static_cast<size_t>(found)];
+  }
+  return result;
+}
+
+/// The place nearest to each point among the triangles around its vertex.
+SurfacePoints places_around(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
+                            const Eigen::MatrixXd& points, const Eigen::VectorXi& nearest) {
+  std::unordered_map<int, std::vector<Eigen::Index>> asked;
+  for (Eigen::Index n = 0; n < nearest.size(); ++n) asked[nearest[n]].push_back(n);
+  SurfacePoints result;
+  result.corners.resize(points.rows(), 3);
+  result.shares.resize(points.rows(), 3);
+  result.distance =
+      Eigen::VectorXd::Constant(points.rows(), std::numeric_limits<double>::infinity());
+  for (Eigen::Index f = 0; f < faces.rows(); ++f) {
+    for (int i = 0; i < 3; ++i) {
+      const auto around = asked.find(faces(f, i));
+      if (around == asked.end()) continue;
+      Corners corners;
+      for (int c = 0; c < 3; ++c) corners[static_cast<size_t>(c)] = vertices.row(faces(f, c));
+      for (const Eigen::Index n : around->second) {
+        const Eigen::Vector3d point = points.row(n);
+        const Eigen::Vector3d shares = nearest_in_triangle(corners, point);
+        const double distance =
+            (shares[0] * corners[0] + shares[1] * corners[1] + shares[2] * corners[2] - point)
+                .norm();
+        if (distance >= result.distance[n]) continue;
+        result.distance[n] = distance;
+        result.corners.row(n) = faces.row(f);
+        result.shares.row(n) = shares.transpose();
+      }
+    }
   }
   return result;
 }
@@ -146,32 +181,17 @@ SurfacePoints nearest_on_surface(const Eigen::MatrixXd& vertices, const Eigen::M
                  "nearest places on a surface: expected points and normals (N, 3), found (",
                  points.rows(), ", ", points.cols(), ") and (", normals.rows(), ", ",
                  normals.cols(), ")");
-  const Eigen::VectorXi nearest = nearest_vertices(vertices, faces, points, normals);
-  std::unordered_map<int, std::vector<Eigen::Index>> asked;
-  for (Eigen::Index n = 0; n < nearest.size(); ++n) asked[nearest[n]].push_back(n);
-  SurfacePoints result;
-  result.corners.resize(points.rows(), 3);
-  result.shares.resize(points.rows(), 3);
-  result.distance =
-      Eigen::VectorXd::Constant(points.rows(), std::numeric_limits<double>::infinity());
-  for (Eigen::Index f = 0; f < faces.rows(); ++f) {
-    for (int i = 0; i < 3; ++i) {
-      const auto around = asked.find(faces(f, i));
-      if (around == asked.end()) continue;
-      Corners corners;
-      for (int c = 0; c < 3; ++c) corners[static_cast<size_t>(c)] = vertices.row(faces(f, c));
-      for (const Eigen::Index n : around->second) {
-        const Eigen::Vector3d point = points.row(n);
-        const Eigen::Vector3d shares = nearest_in_triangle(corners, point);
-        const double distance =
-            (shares[0] * corners[0] + shares[1] * corners[1] + shares[2] * corners[2] - point)
-                .norm();
-        if (distance >= result.distance[n]) continue;
-        result.distance[n] = distance;
-        result.corners.row(n) = faces.row(f);
-        result.shares.row(n) = shares.transpose();
-      }
-    }
+  const auto places = [&](double side_length) {
+    return places_around(vertices, faces, points,
+                         nearest_vertices(vertices, faces, points, normals, side_length));
+  };
+  SurfacePoints result = places(kGuessed);
+  const SurfacePoints exact = places(kExact);
+  for (Eigen::Index n = 0; n < points.rows(); ++n) {
+    if (result.distance[n] <= exact.distance[n] + kAsNear) continue;
+    result.corners.row(n) = exact.corners.row(n);
+    result.shares.row(n) = exact.shares.row(n);
+    result.distance[n] = exact.distance[n];
   }
   return result;
 }

@@ -21,7 +21,8 @@ struct SurfacePoints {
 
 /// The places of a surface nearest to points, on its side that faces their normals: first the
 /// vertex, one turned at right angles counting as 6 mm further away, then the place among the
-/// triangles around it. So closed lips and lids do not mix.
+/// triangles around it. So closed lips and lids do not mix. Where another side is nearer by more
+/// than half a millimetre, the point is taken to lie on that.
 /// @param vertices (V, 3) m. @param faces (F, 3). @param points (N, 3) m.
 /// @param normals (N, 3) unit, outward; zero where unknown.
 /// @throws std::invalid_argument for no faces, or points and normals that differ in number.
@@ -29,7 +30,7 @@ SurfacePoints nearest_on_surface(const Eigen::MatrixXd& vertices, const Eigen::M
                                  const Eigen::MatrixXd& points, const Eigen::MatrixXd& normals);
 
 struct KrigingOptions {
-  double range = 0.02;   // r, unit of the vertices: how far a point reaches, > 0
+  double range = 0.01;   // r, unit of the vertices: how far a point reaches, > 0
   double noise = 0.005;  // of the values, share of their variance, > 0: calms points close together
   template <class V>
   void fields(V& v) {

@@ -49,7 +49,7 @@ struct StmOptions {
   // of displacement and index alone; "ca_concat" [f_i, g_t, c_ti] with the same; "gcn_ca_concat"
   // with the graph convolutions.
   std::string fusion = "gcn_ca_concat";
-  bool follows_landmarks = false;  // trained through landmark_follower.h; false: the paper's
+  bool follows_landmarks = false;  // what it gives is made to: landmark_follower.h; paper: false
   template <class V>
   void fields(V& v) {
     v("encoder_width", encoder_width);
