@@ -26,8 +26,8 @@ using Corners = std::array<Eigen::Vector3d, 3>;
 
 // What a normal at right angles counts as, m: where the place is guessed, and where it is exact.
 constexpr double kGuessed = 6e-3, kExact = 6e-4;
-constexpr double kAsNear = 5e-4;   // m: the side counts where it costs no more than this
-constexpr double kAnySide = -2.0;  // cosine
+constexpr double kOnSurface = 2e-4;  // m: a point this near lies on the surface
+constexpr double kAnySide = -2.0;    // cosine
 
 /// Barycentric weights of the point of a segment nearest to `point`.
 std::pair<double, double> nearest_on_edge(const Eigen::Vector3d& a, const Eigen::Vector3d& b,
@@ -188,7 +188,7 @@ SurfacePoints nearest_on_surface(const Eigen::MatrixXd& vertices, const Eigen::M
   SurfacePoints result = places(kGuessed);
   const SurfacePoints exact = places(kExact);
   for (Eigen::Index n = 0; n < points.rows(); ++n) {
-    if (result.distance[n] <= exact.distance[n] + kAsNear) continue;
+    if (exact.distance[n] > kOnSurface || result.distance[n] <= kOnSurface) continue;
     result.corners.row(n) = exact.corners.row(n);
     result.shares.row(n) = exact.shares.row(n);
     result.distance[n] = exact.distance[n];

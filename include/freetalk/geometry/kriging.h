@@ -21,8 +21,8 @@ struct SurfacePoints {
 
 /// The places of a surface nearest to points, on its side that faces their normals: first the
 /// vertex, one turned at right angles counting as 6 mm further away, then the place among the
-/// triangles around it. So closed lips and lids do not mix. Where another side is nearer by more
-/// than half a millimetre, the point is taken to lie on that.
+/// triangles around it. So closed lips and lids do not mix. A point within
+/// 0.2 mm of the surface stays where it is.
 /// @param vertices (V, 3) m. @param faces (F, 3). @param points (N, 3) m.
 /// @param normals (N, 3) unit, outward; zero where unknown.
 /// @throws std::invalid_argument for no faces, or points and normals that differ in number.

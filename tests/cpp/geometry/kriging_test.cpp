@@ -121,7 +121,7 @@ TEST(NearestOnSurface, TakesTheSideThatFacesTheNormal) {
   Eigen::MatrixXi faces(2 * square.faces.rows(), 3);
   faces << square.faces, square.faces.rowwise().reverse().array() + 441;
   Eigen::MatrixXd point(1, 3), normal(1, 3);
-  point << 0.05, 0.05, 0.0;
+  point << 0.05, 0.05, -0.0005;  // between the two
   normal << 0, 0, -1;
   EXPECT_GE(nearest_on_surface(vertices, faces, point, normal).corners.minCoeff(), 441);
   EXPECT_LT(nearest_on_surface(vertices, faces, point, -normal).corners.maxCoeff(), 441);
