@@ -20,10 +20,12 @@ animation::Animation make_animation(const freetalk::mesh::Mesh& mesh,
                                     const at::Tensor& displacements, double fps,
                                     const std::optional<freetalk::audio::Audio>& audio,
                                     const std::string& metadata_json, double metres_per_unit,
-                                    const Eigen::Matrix3d& to_y_up) {
+                                    const Eigen::Matrix3d& to_y_up,
+                                    const std::optional<at::Tensor>& head) {
   animation::Animation result{mesh,          displacements.to(at::kCPU, at::kFloat).contiguous(),
                               fps,           audio.value_or(freetalk::audio::Audio{}),
                               metadata_json, {metres_per_unit, to_y_up}};
+  if (head) result.head = head->to(at::kCPU, at::kDouble).contiguous();
   result.check();
   return result;
 }
@@ -47,9 +49,16 @@ void bind_animation_type(py::module_& m) {
       .def(py::init(&make_animation), py::arg("mesh"), py::arg("displacements"), py::kw_only(),
            py::arg("fps") = 30.0, py::arg("audio") = py::none(), py::arg("metadata_json") = "{}",
            py::arg("metres_per_unit") = 1.0,
-           py::arg("to_y_up") = Eigen::Matrix3d(Eigen::Matrix3d::Identity()), NoGil())
+           py::arg("to_y_up") = Eigen::Matrix3d(Eigen::Matrix3d::Identity()),
+           py::arg("head") = py::none(), NoGil())
       .def_readonly("mesh", &Animation::mesh)
       .def_readonly("displacements", &Animation::displacements, "(T, V, 3) float32.")
+      .def_property_readonly(
+          "head",
+          [](const Animation& self) {
+            return self.head.defined() ? std::optional(self.head) : std::nullopt;
+          },
+          "(T, 4, 4) float64 rigid motion of the mesh, None without.")
       .def_readonly("fps", &Animation::fps)
       .def_readonly("audio", &Animation::audio)
       .def_readonly("frame", &Animation::frame)

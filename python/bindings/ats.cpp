@@ -45,6 +45,10 @@ void bind_denoiser(py::module_& m) {
 void bind_generate(py::module_& m) {
   freetalk::bindings::bind_options<fa::GenerateOptions>(m, "GenerateOptions",
                                                         "Sampling of motion from speech.");
+  m.def("articulate", &fa::articulate, py::arg("motion"), py::arg("gain"),
+        "(..., 68, 3) displacements, m, with the motion of lips and jaw scaled about the neutral "
+        "face; closures stay.",
+        py::call_guard<py::gil_scoped_release>());
   m.def("window_starts", &fa::window_starts, py::arg("num_frames"), py::arg("window"),
         py::arg("overlap"));
   m.def(

@@ -46,6 +46,7 @@ class Animation:
         metadata: JSON values that travel with the animation.
         metres_per_unit: the mesh's unit.
         to_y_up: (3, 3) rotation of the mesh's axes to +Y up, +Z out of the face.
+        head: (T, 4, 4) rigid motion of the head, in the mesh's own unit and axes, if it moves.
 
     Raises:
         ValueError: shapes do not fit, fps is not positive.
@@ -61,6 +62,7 @@ class Animation:
         metadata: dict[str, Any] | None = None,
         metres_per_unit: float = 1.0,
         to_y_up: ArrayLike | None = None,
+        head: ArrayLike | torch.Tensor | None = None,
     ) -> None:
         motion = torch.as_tensor(displacements).detach()
         self._native = _native.animation.Animation(
@@ -71,6 +73,7 @@ class Animation:
             metadata_json=json.dumps(metadata or {}),
             metres_per_unit=metres_per_unit,
             to_y_up=np.eye(3) if to_y_up is None else np.asarray(to_y_up, dtype=np.float64),
+            head=None if head is None else torch.as_tensor(head).detach(),
         )
 
     @classmethod
@@ -98,6 +101,11 @@ class Animation:
     def displacements(self) -> torch.Tensor:
         """(T, V, 3) float32, shared with the animation; ``np.asarray`` of it copies nothing."""
         return self._native.displacements
+
+    @property
+    def head(self) -> torch.Tensor | None:
+        """(T, 4, 4) float64 rigid motion of the head: a vertex is at R (v + d) + t. None where it stays still."""
+        return self._native.head
 
     @property
     def fps(self) -> float:
@@ -131,7 +139,7 @@ class Animation:
         return self._native.duration_s
 
     def vertices_at(self, frame_index: int) -> NDArray[np.float64]:
-        """(V, 3) vertex positions of a frame."""
+        """(V, 3) vertex positions of a frame, the head's motion included."""
         return self._native.vertices_at(frame_index)
 
     def save(self, path: str | os.PathLike[str], **options: Any) -> SaveReport:
@@ -195,6 +203,7 @@ class Animation:
             "metadata": self.metadata,
             "metres_per_unit": self.frame.metres_per_unit,
             "to_y_up": self.frame.to_y_up,
+            "head": self.head,
         }
         return _rebuild, (surface, self.displacements, fields)
 

@@ -13,6 +13,7 @@ from freetalk._module import NativeModule
 
 AtsOptions = _native.ats.AtsOptions
 GenerateOptions = _native.ats.GenerateOptions
+articulate = _native.ats.articulate
 parse_emotion = _native.ats.parse_emotion
 window_starts = _native.ats.window_starts
 
@@ -322,7 +323,7 @@ def _sample_padded(
     )
     padded = pad_sequence(noise, batch_first=True)
     motion = model.denormalize(diffusion.sample(schedule, denoise, noise=padded, options=sampling))
-    motion = motion.float().unflatten(2, (NUM_LANDMARKS, 3))
+    motion = articulate(motion.float().unflatten(2, (NUM_LANDMARKS, 3)), o.articulation)
     ends = torch.tensor([len(some) for some in seeds]).cumsum(0).tolist()
     return [
         motion[end - len(some) : end, : len(one)]
@@ -336,6 +337,7 @@ __all__ = [
     "Ats",
     "AtsOptions",
     "GenerateOptions",
+    "articulate",
     "emotion_text",
     "emotion_track",
     "generate",

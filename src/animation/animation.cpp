@@ -43,6 +43,12 @@ Eigen::MatrixXd Animation::vertices_at(int64_t frame_index) const {
       mesh.vertices +
       Eigen::Map<const Rows>(moved.data_ptr<float>(), moved.size(0), 3).cast<double>();
   core::release_pages(moved);
+  if (head.defined()) {
+    using Pose = Eigen::Matrix<double, 4, 4, Eigen::RowMajor>;
+    const Pose pose = Eigen::Map<const Pose>(head.const_data_ptr<double>() + 16 * frame_index);
+    const Eigen::MatrixXd turned = vertices * pose.topLeftCorner<3, 3>().transpose();
+    vertices = turned.rowwise() + pose.topRightCorner<3, 1>().transpose();
+  }
   return vertices;
 }
 
@@ -55,6 +61,10 @@ void Animation::check() const {
   FREETALK_CHECK(displacements.scalar_type() == at::kFloat && displacements.device().is_cpu() &&
                      displacements.is_contiguous(),
                  "displacements must be contiguous float32 on the CPU");
+  FREETALK_CHECK(!head.defined() || (head.sizes() == at::IntArrayRef({num_frames(), 4, 4}) &&
+                                     head.scalar_type() == at::kDouble && head.device().is_cpu() &&
+                                     head.is_contiguous()),
+                 "head must be (", num_frames(), ", 4, 4), contiguous float64 on the CPU");
   FREETALK_CHECK(std::isfinite(fps) && fps > 0, "fps must be positive, found ", fps);
   FREETALK_CHECK(std::isfinite(frame.metres_per_unit) && frame.metres_per_unit > 0,
                  "metres_per_unit must be positive, found ", frame.metres_per_unit);

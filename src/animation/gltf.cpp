@@ -22,6 +22,7 @@ namespace {
 using nlohmann::ordered_json;
 
 constexpr int kFloat = 5126, kUnsignedInt = 5125;
+constexpr int kFaceNode = 0, kHeadNode = 1;  // the head moves the face, where it moves
 constexpr int kArrayBuffer = 34962, kElementArrayBuffer = 34963;
 
 /// The vertices of the file: the mesh's own, then copies for further texture coordinates.
@@ -169,14 +170,46 @@ ordered_json mesh_json(const Animation& animation, const MorphBasis& basis, Buff
   return result;
 }
 
+/// Rotation (T, 4) as quaternions x, y, z, w and translation (T, 3) of the head in glTF's metres
+/// and axes.
+std::pair<at::Tensor, at::Tensor> head_tracks(const Animation& animation) {
+  const int64_t frames = animation.num_frames();
+  const at::Tensor turns = at::empty({frames, 4}), shifts = at::empty({frames, 3});
+  const Eigen::Matrix3d& up = animation.frame.to_y_up;
+  Eigen::Vector4d before = Eigen::Quaterniond::Identity().coeffs();
+  using Pose = Eigen::Matrix<double, 4, 4, Eigen::RowMajor>;
+  for (int64_t t = 0; t < frames; ++t) {
+    const Pose pose = Eigen::Map<const Pose>(animation.head.const_data_ptr<double>() + 16 * t);
+    const Eigen::Matrix3d turn = up * pose.topLeftCorner<3, 3>() * up.transpose();
+    Eigen::Vector4d coefficients = Eigen::Quaterniond(turn).coeffs();
+    if (coefficients.dot(before) < 0) coefficients = -coefficients;  // the same turn, the short way
+    before = coefficients;
+    Eigen::Map<Eigen::Vector4f>(turns.data_ptr<float>() + 4 * t) = coefficients.cast<float>();
+    const Eigen::Vector3d shift =
+        animation.frame.metres_per_unit * (up * pose.topRightCorner<3, 1>());
+    Eigen::Map<Eigen::Vector3f>(shifts.data_ptr<float>() + 3 * t) = shift.cast<float>();
+  }
+  return {turns, shifts};
+}
+
 ordered_json animation_json(const Animation& animation, const MorphBasis& basis, Buffer& buffer) {
   const auto times =
       at::arange(animation.num_frames(), at::kDouble).div(animation.fps).to(at::kFloat);
   const int input = buffer.add(times.view({-1, 1}), "SCALAR", kFloat, 0, true);
-  const int output = buffer.add(basis.weights.view({-1}), "SCALAR", kFloat, 0, false);
-  return {{"name", "talk"},
-          {"samplers", {{{"input", input}, {"interpolation", "LINEAR"}, {"output", output}}}},
-          {"channels", {{{"sampler", 0}, {"target", {{"node", 0}, {"path", "weights"}}}}}}};
+  ordered_json samplers = ordered_json::array(), channels = ordered_json::array();
+  const auto add = [&](const char* path, int node, const at::Tensor& values, const char* type) {
+    const int output = buffer.add(values, type, kFloat, 0, false);
+    channels.push_back(
+        {{"sampler", samplers.size()}, {"target", {{"node", node}, {"path", path}}}});
+    samplers.push_back({{"input", input}, {"interpolation", "LINEAR"}, {"output", output}});
+  };
+  if (basis.targets.size(0) > 0) add("weights", kFaceNode, basis.weights.view({-1}), "SCALAR");
+  if (animation.head.defined()) {
+    const auto [turns, shifts] = head_tracks(animation);
+    add("rotation", kHeadNode, turns, "VEC4");
+    add("translation", kHeadNode, shifts, "VEC3");
+  }
+  return {{"name", "talk"}, {"samplers", samplers}, {"channels", channels}};
 }
 
 ordered_json node_json(const Animation& animation) {
@@ -193,9 +226,11 @@ ordered_json document(const Animation& animation, const MorphBasis& basis, Buffe
   root["asset"] = {{"version", "2.0"}, {"generator", "freetalk"}};
   root["asset"]["extras"] = {{"fps", animation.fps},
                              {"metadata", ordered_json::parse(animation.metadata_json)}};
+  const bool moves = animation.head.defined();
   root["scene"] = 0;
-  root["scenes"] = ordered_json::array({{{"nodes", {0}}}});
+  root["scenes"] = ordered_json::array({{{"nodes", {moves ? kHeadNode : kFaceNode}}}});
   root["nodes"] = ordered_json::array({node_json(animation)});
+  if (moves) root["nodes"].push_back({{"name", "head"}, {"children", {kFaceNode}}});
   root["materials"] = ordered_json::array({{{"name", "skin"},
                                             {"doubleSided", true},
                                             {"pbrMetallicRoughness",
@@ -203,7 +238,7 @@ ordered_json document(const Animation& animation, const MorphBasis& basis, Buffe
                                               {"metallicFactor", 0.0},
                                               {"roughnessFactor", 0.7}}}}});
   root["meshes"] = ordered_json::array({mesh_json(animation, basis, buffer)});
-  if (basis.targets.size(0) > 0) {
+  if (basis.targets.size(0) > 0 || moves) {
     root["animations"] = ordered_json::array({animation_json(animation, basis, buffer)});
   }
   root["accessors"] = buffer.accessors;

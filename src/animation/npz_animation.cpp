@@ -103,6 +103,9 @@ void save_npz(const std::filesystem::path& path, const Animation& animation) {
     writer.add_text("name", mesh.name);
     writer.add_scalar("metres_per_unit", animation.frame.metres_per_unit);
     add_matrix(writer, "to_y_up", animation.frame.to_y_up);
+    if (animation.head.defined()) {
+      writer.add("head", "<f8", animation.head.sizes().vec(), animation.head.const_data_ptr());
+    }
     if (!mesh.polygons.empty()) {
       add_lists(writer, "polygon_sizes", "polygon_vertices", mesh.polygons);
     }
@@ -147,6 +150,10 @@ Animation load_npz(const std::filesystem::path& path) {
     const auto rows = read_matrix<double>(reader, "to_y_up", 3, where);
     FREETALK_RUNTIME_CHECK(rows.rows() == 3, where, ": 'to_y_up' must be (3, 3)");
     animation.frame.to_y_up = rows;
+  }
+  if (reader.contains("head")) {
+    animation.head = at::empty(reader.at("head").shape, at::kDouble);
+    reader.read_raw("head", "<f8", animation.head.data_ptr());
   }
   try {
     animation.check();

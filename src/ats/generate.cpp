@@ -53,6 +53,8 @@ void GenerateOptions::check() const {
                  "audio_guidance and affect_guidance must be finite");
   FREETALK_CHECK(mouth_temperature >= 0 && mouth_temperature <= 1,
                  "mouth_temperature must be between 0 and 1, found ", mouth_temperature);
+  FREETALK_CHECK(articulation > 0 && articulation <= 3,
+                 "articulation must be above 0 and at most 3, found ", articulation);
   FREETALK_CHECK(window_overlap >= 0, "window_overlap must not be negative, found ",
                  window_overlap);
   FREETALK_CHECK(windows_per_batch > 0, "windows_per_batch must be positive, found ",
@@ -119,7 +121,8 @@ at::Tensor generate(Ats& model, const at::Tensor& features, const Affect& affect
       result.narrow(1, first, frames).copy_(x0);
       shared = group.leave();
     }
-    return model->denormalize(result).to(at::kFloat).unflatten(2, {kNumLandmarks, 3});
+    const at::Tensor motion = model->denormalize(result).to(at::kFloat);
+    return articulate(motion.unflatten(2, {kNumLandmarks, 3}), options.articulation);
   });
 }
 

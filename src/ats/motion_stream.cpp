@@ -142,7 +142,8 @@ struct MotionStream::State {
     const at::Tensor made = x0.narrow(0, done, fresh);
     known = at::cat({known, made});
     shown += fresh;
-    return model->denormalize(made).to(at::kCPU, at::kFloat).unflatten(1, {kNumLandmarks, 3});
+    const at::Tensor motion = model->denormalize(made).to(at::kCPU, at::kFloat);
+    return articulate(motion.unflatten(1, {kNumLandmarks, 3}), options.generate.articulation);
   }
 
   at::Tensor advance(const at::Tensor& next, bool last) {

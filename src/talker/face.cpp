@@ -14,6 +14,7 @@
 #include "freetalk/core/options.h"
 #include "freetalk/core/torch_error.h"
 #include "freetalk/stm/adaptive_decoder.h"
+#include "freetalk/talker/head_motion.h"
 #include "motion.h"
 #include "stages.h"
 
@@ -143,8 +144,13 @@ std::vector<animation::Animation> Face::animate_many(const audio::Audio& audio,
       add_decoded(found, decoded);
       AnimateOptions used = options;
       used.seed = seeds[k];
+      at::Tensor head;
+      if (options.head_motion) {
+        head =
+            face.in_mesh(head_motion(audio, frames, options.fps, static_cast<uint64_t>(seeds[k])));
+      }
       animations.push_back({face.mesh, results[k], options.fps, audio,
-                            metadata(used, face.options, found, decoded), face.frame});
+                            metadata(used, face.options, found, decoded), face.frame, head});
     }
     stages.end();
     return animations;

@@ -45,6 +45,9 @@ struct Face::State {
   /// Displacements of the mesh, its own unit, from those of the skin. @param skin (t, Vf, 3) m.
   /// @param landmarks (t, 68, 3) m, CPU. @returns (t, V, 3) float32.
   at::Tensor in_mesh(const at::Tensor& skin, const at::Tensor& landmarks) const;
+  /// Rigid motion (T, 4, 4) float64 of the canonical frame, m, as that of the mesh, its own unit
+  /// and axes.
+  at::Tensor in_mesh(const at::Tensor& head) const;
 };
 
 }  // namespace freetalk::talker

@@ -30,13 +30,23 @@ speech::EncodeOptions hearing(const LiveOptions& options) {
   return result;
 }
 
+/// What a stream has in common with a clip.
+AnimateOptions performance(const LiveOptions& options) {
+  AnimateOptions result;
+  result.emotion = options.emotion;
+  result.intensity = options.intensity;
+  result.seed = options.seed;
+  result.audio_guidance = options.audio_guidance;
+  result.affect_guidance = options.affect_guidance;
+  result.mouth_temperature = options.mouth_temperature;
+  result.articulation = options.articulation;
+  return result;
+}
+
 ats::MotionStreamOptions moving(const LiveOptions& options, const Face::State& face) {
   ats::MotionStreamOptions result;
-  AnimateOptions chosen;
-  chosen.audio_guidance = options.audio_guidance;
-  chosen.affect_guidance = options.affect_guidance;
-  chosen.mouth_temperature = options.mouth_temperature;
-  result.generate = sampling_options(chosen, face.options.precision, face.models->generate);
+  result.generate =
+      sampling_options(performance(options), face.options.precision, face.models->generate);
   result.generate.sampler = options.sampler;
   result.generate.num_steps = options.num_steps;
   result.generate.spacing = "auto";
@@ -50,8 +60,7 @@ ats::MotionStreamOptions moving(const LiveOptions& options, const Face::State& f
 }  // namespace
 
 void LiveOptions::check() const {
-  FREETALK_CHECK(!emotion.empty(), "emotion must not be empty");
-  FREETALK_CHECK(seed >= 0, "seed must not be negative, found ", seed);
+  performance(*this).check();
   FREETALK_CHECK(std::isfinite(hop_s) && hop_s > 0, "hop_s must be positive, found ", hop_s);
   FREETALK_CHECK(std::isfinite(lookahead_s) && lookahead_s > 0,
                  "lookahead_s must be positive, found ", lookahead_s);

@@ -106,6 +106,7 @@ ats::GenerateOptions sampling_options(const AnimateOptions& options, const std::
   own.audio_guidance = options.audio_guidance.value_or(own.audio_guidance);
   own.affect_guidance = options.affect_guidance.value_or(own.affect_guidance);
   own.mouth_temperature = options.mouth_temperature.value_or(own.mouth_temperature);
+  own.articulation *= options.articulation;
   own.precision = precision;
   return own;
 }

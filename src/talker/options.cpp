@@ -73,6 +73,8 @@ void AnimateOptions::check() const {
   FREETALK_CHECK(
       finite(eta) && finite(audio_guidance) && finite(affect_guidance) && finite(mouth_temperature),
       "eta, audio_guidance, affect_guidance and mouth_temperature must be finite");
+  FREETALK_CHECK(articulation >= 0.5 && articulation <= 1.5,
+                 "articulation must be between 0.5 and 1.5, found ", articulation);
   FREETALK_CHECK(std::isfinite(tolerance_mm) && tolerance_mm >= 0,
                  "tolerance_mm must not be negative, found ", tolerance_mm);
 }

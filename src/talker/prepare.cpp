@@ -140,4 +140,16 @@ at::Tensor Face::State::in_mesh(const at::Tensor& skin, const at::Tensor& landma
   return parts->move(skin, landmarks).matmul(to_mesh);
 }
 
+at::Tensor Face::State::in_mesh(const at::Tensor& head) const {
+  const auto& pose = report.alignment.to_canonical;
+  Eigen::Matrix<double, 4, 4, Eigen::RowMajor> to = Eigen::Matrix4d::Identity();
+  to.topLeftCorner<3, 3>() = pose.scale * pose.rotation;
+  to.topRightCorner<3, 1>() = pose.translation;
+  const Eigen::Matrix<double, 4, 4, Eigen::RowMajor> back = to.inverse();
+  const auto tensor = [](const auto& matrix) {
+    return at::from_blob(const_cast<double*>(matrix.data()), {4, 4}, at::kDouble);
+  };
+  return tensor(back).matmul(head).matmul(tensor(to)).contiguous();
+}
+
 }  // namespace freetalk::talker

@@ -10,6 +10,7 @@ import numpy as np
 import pygltflib
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 import freetalk
 from freetalk.animation import Animation, PartMotion, Parts, morph_basis, resample_motion
@@ -89,7 +90,7 @@ def gltf_array(document: pygltflib.GLTF2, blob: bytes, index: int) -> np.ndarray
     """The values of an accessor."""
     accessor = document.accessors[index]
     view = document.bufferViews[accessor.bufferView]
-    width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}[accessor.type]
+    width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}[accessor.type]
     dtype = np.float32 if accessor.componentType == pygltflib.FLOAT else np.uint32
     values = np.frombuffer(blob, dtype, accessor.count * width, view.byteOffset)
     return values.reshape(-1, width)
@@ -119,6 +120,67 @@ def test_gltf_morphs_rebuild_the_motion(tmp_path: Path, name: str) -> None:
     assert errors.max() * 10 <= 0.05  # mm
     node = document.nodes[0]
     assert node.scale == [0.01] * 3
+
+
+def nodding(frames: int) -> Animation:
+    """A face whose head nods and leans forward, in centimetres, +Z up."""
+    still = face_animation(frames)
+    angle = np.linspace(0, 0.2, frames)
+    head = np.tile(np.eye(4), (frames, 1, 1))
+    head[:, 0, 0] = head[:, 1, 1] = np.cos(angle)
+    head[:, 1, 0] = np.sin(angle)
+    head[:, 0, 1] = -head[:, 1, 0]
+    head[:, :3, 3] = np.outer(angle, [3.0, -2.0, 1.0])
+    to_y_up = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    options = {"fps": 25, "metres_per_unit": 0.01, "to_y_up": to_y_up, "head": head}
+    return Animation(still.mesh, still.displacements, **options)
+
+
+def test_a_moving_head_is_kept_and_moves_the_vertices(tmp_path: Path) -> None:
+    animation = nodding(5)
+    assert animation.head is not None
+    points = animation.vertices + animation.displacements[4].numpy().astype(np.float64)
+    pose = animation.head[4].numpy()
+    expected = points @ pose[:3, :3].T + pose[:3, 3]
+    np.testing.assert_allclose(animation.vertices_at(4), expected, atol=1e-9)
+    animation.save(tmp_path / "a.npz")
+    for same in (Animation.load(tmp_path / "a.npz"), pickle.loads(pickle.dumps(animation))):
+        assert same.head is not None and torch.equal(same.head, animation.head)
+    animation.save(tmp_path / "frames" / "*.obj")  # a mesh has no transform: its vertices move
+    mesh = freetalk.load_mesh(tmp_path / "frames" / "frame_00004.obj")
+    np.testing.assert_allclose(mesh.vertices, expected, atol=1e-4)
+    with pytest.raises(ValueError, match="head must be"):
+        Animation(animation.mesh, animation.displacements, head=animation.head[1:])
+
+
+@pytest.mark.parametrize("talks", [True, False])
+def test_a_moving_head_is_a_node_of_gltf(tmp_path: Path, talks: bool) -> None:
+    animation = nodding(8)
+    if not talks:
+        animation = Animation(
+            *(animation.mesh, 0 * animation.displacements),
+            fps=25,
+            metres_per_unit=0.01,
+            to_y_up=animation.frame.to_y_up,
+            head=animation.head,
+        )
+    animation.save(tmp_path / "a.glb")
+    document = pygltflib.GLTF2().load(str(tmp_path / "a.glb"))
+    assert document is not None and document.scenes[0].nodes == [1]
+    head, face = document.nodes[1], document.nodes[0]
+    assert (head.name, head.children) == ("head", [0])
+    motion, blob = document.animations[0], document.binary_blob()
+    paths = ["weights"] * talks + ["rotation", "translation"]
+    assert [channel.target.path for channel in motion.channels] == paths
+    assert [channel.target.node for channel in motion.channels] == [0] * talks + [1, 1]
+    turns, shifts = (gltf_array(document, blob, s.output) for s in motion.samplers[-2:])
+    inner = 0.01 * Rotation.from_quat(face.rotation).as_matrix()
+    for t in (0, 3, 7):
+        world = Rotation.from_quat(turns[t]).as_matrix() @ inner @ animation.vertices.T
+        assert animation.head is not None
+        turn = animation.head[t, :3, :3].numpy()
+        posed = animation.vertices_at(t) - animation.displacements[t].numpy() @ turn.T
+        np.testing.assert_allclose(world.T + shifts[t], posed @ inner.T, atol=1e-6)
 
 
 def test_glb_is_read_by_trimesh(tmp_path: Path) -> None:

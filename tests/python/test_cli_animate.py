@@ -180,15 +180,19 @@ def test_sampling_options_and_keyframes_reach_the_talker(room: Path, tmp_path: P
         "bfloat16",
     ]
     options += ["--guidance", "audio=1.5,emotion=2", "--mouth-temperature", "0.25", "--no-blinks"]
-    options += ["--tolerance-mm", "0"]
+    options += ["--tolerance-mm", "0", "--articulation", "1.25", "--head-motion"]
     assert animate(room, *options, "--out", out) == 0
-    used = ft.Animation.load(out).metadata["options"]
+    saved = ft.Animation.load(out)
+    used = saved.metadata["options"]
+    assert saved.head is not None and saved.head.shape == (saved.num_frames, 4, 4)
     assert used["emotion"] == emotion
     wanted = {"sampler": "dpmpp", "num_steps": 6, "precision": "bfloat16"}
     wanted |= {
         "audio_guidance": 1.5,
         "affect_guidance": 2.0,
         "mouth_temperature": 0.25,
+        "articulation": 1.25,
+        "head_motion": True,
         "tolerance_mm": 0.0,
     }
     assert {name: used[name] for name in wanted} == wanted
@@ -206,6 +210,7 @@ def test_sampling_options_and_keyframes_reach_the_talker(room: Path, tmp_path: P
         ("--guidance", "-1", "0 to 100"),
         ("--mouth-temperature", "2", "0 to 1"),
         ("--tolerance-mm", "-1", "0 for none"),
+        ("--articulation", "2", "0.5 to 1.5"),
         ("--sampler", "euler", "dpmpp"),
         ("--emotion", "0=neutral; happy", "has no time"),
         ("--emotion", "1=happy; 0=sad", "must rise"),

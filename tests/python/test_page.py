@@ -73,6 +73,17 @@ def test_a_take_holds_surface_sound_and_shapes(animation: ft.Animation) -> None:
     assert len(header["eyes"]) == 2 and len(arrays["mouth_edges"]) > 10
 
 
+def test_a_take_holds_the_heads_motion_in_metres_and_upright() -> None:
+    head = np.tile(np.eye(4), (3, 1, 1))
+    head[1, :3, 3] = [0.0, 0.0, 10.0]  # up, in centimetres
+    up = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    moving = quad(head=head, metres_per_unit=0.01, to_y_up=up)
+    poses = page.read_take(page.pack_take(moving))[1]["head"]
+    np.testing.assert_allclose(poses[0].T, np.eye(4), atol=1e-7)
+    np.testing.assert_allclose(poses[1].T[:3, 3], [0, 0.1, 0], atol=1e-7)
+    assert "head" not in page.read_take(page.pack_take(quad()))[1]
+
+
 def test_an_opening_jaw_is_seen_as_jaw_open(animation: ft.Animation) -> None:
     sequence = ft.viz.as_sequence(animation)
     marks = page.find_landmarks(sequence)

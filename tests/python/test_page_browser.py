@@ -88,6 +88,28 @@ def test_frames_are_stepped_and_the_mouth_moves(visit: Visit) -> None:
     assert (np.abs(pixels(visit) - still).max(axis=2) > 30).mean() > 0.002
 
 
+def test_a_moving_head_is_drawn_where_it_is(chromium: Any, tmp_path: Path) -> None:
+    face = speaking(10, strength=0.0)
+    head = np.tile(np.eye(4), (10, 1, 1))
+    head[:, 0, 3] = np.linspace(0, 0.045, 10)  # m, to the subject's left: to the right of the picture
+    options = {"fps": 25.0, "metadata": face.metadata, "head": head}
+    page.save_page(ft.Animation(face.mesh, face.displacements, **options), tmp_path / "head.html")
+    visit = Visit(chromium, (tmp_path / "head.html").as_uri())
+    visit.until("s.ready")
+    places = []
+    for steps in (0, 9):
+        for _ in range(steps):
+            visit.page.keyboard.press("ArrowRight")
+        visit.page.wait_for_timeout(600)
+        image = pixels(visit)
+        skin = image[..., 0] > image[..., 2] + 25
+        places.append(np.flatnonzero(skin.any(axis=1)).mean() + 1j * np.nonzero(skin)[1].mean())
+    complaints = visit.complaints
+    visit.close()
+    moved = places[1] - places[0]
+    assert not complaints and moved.imag > 20 and abs(moved.real) < 5, moved
+
+
 def test_takes_are_shown_alone_beside_each_other_and_measured(visit: Visit) -> None:
     visit.page.keyboard.press("2")
     assert visit.until("s.panes.join() === 'B'")["heard"] == "B"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -148,6 +149,19 @@ def test_any_unit_and_pose_looks_the_same_upright(face: viz.Sequence, unit: floa
     expected = viz.render_frame(face, 0.2, SIZE)
     # float32 positions move silhouettes by a fraction of a pixel
     assert difference(expected, viz.render_frame(moved, 0.2, SIZE)) < 0.5
+
+
+def test_a_moving_head_is_seen_where_it_is() -> None:
+    """A head that went aside gives the picture of a face whose vertices did."""
+    still = talking_face(2)
+    head = np.tile(np.eye(4), (2, 1, 1))
+    head[1, 0, 3] = 0.02
+    shift = head[:, None, :3, 3].astype(np.float32)
+    times, plain = (0.0, 1 / still.fps), viz.View(fill_openings=False)
+    before, after = viz.render_frames(replace(still, head=head), times, SIZE, plain)
+    aside = replace(still, displacements=still.displacements + shift)
+    assert difference(after, viz.render_frames(aside, times, SIZE, plain)[1]) < 0.5
+    assert difference(after, before) > 3.0
 
 
 def test_time_between_frames_is_interpolated(face: viz.Sequence) -> None:

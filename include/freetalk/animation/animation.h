@@ -53,11 +53,14 @@ struct Animation {
   audio::Audio audio;  // may be empty
   std::string metadata_json = "{}";
   MeshFrame frame;
+  at::Tensor head;  // (T, 4, 4) float64 rigid motion [R t; 0 1] of the whole mesh, in its own unit
+                    // and axes: a vertex is at R (v + d) + t; undefined: the head stays still
 
   int64_t num_frames() const { return displacements.defined() ? displacements.size(0) : 0; }
   double duration_s() const { return static_cast<double>(num_frames()) / fps; }
 
-  /// (V, 3) vertex positions of a frame. @throws std::invalid_argument if there is no such frame.
+  /// (V, 3) vertex positions of a frame, the head's motion included. @throws std::invalid_argument
+  /// if there is no such frame.
   Eigen::MatrixXd vertices_at(int64_t frame_index) const;
 
   /// @throws std::invalid_argument naming what does not fit: shapes, type, fps, metadata that is no

@@ -11,6 +11,7 @@
 #include <string>
 #include <vector>
 
+#include "freetalk/ats/articulation.h"
 #include "freetalk/ats/ats.h"
 #include "freetalk/ats/emotion.h"
 #include "freetalk/diffusion/sampler.h"
@@ -25,6 +26,7 @@ struct GenerateOptions {
   double audio_guidance = 1.0;        // w_a, classifier-free guidance on the audio; 1: off
   double affect_guidance = 1.0;       // w_e, the same on emotion and intensity; 1: off
   double mouth_temperature = 1.0;     // in [0, 1], scale of the mouth's noise, see generate()
+  double articulation = 1.0;          // in (0, 3], gain of the mouth's motion, see articulate()
   int64_t window_overlap = 30;        // frames shared by neighbouring windows, < max_frames
   int64_t windows_per_batch = 4;      // windows of a group, denoised at once: bounds memory
   std::string precision = "float32";  // of the network: "float32" (the weights' own) or "bfloat16"
@@ -37,6 +39,7 @@ struct GenerateOptions {
     v("audio_guidance", audio_guidance);
     v("affect_guidance", affect_guidance);
     v("mouth_temperature", mouth_temperature);
+    v("articulation", articulation);
     v("window_overlap", window_overlap);
     v("windows_per_batch", windows_per_batch);
     v("precision", precision);

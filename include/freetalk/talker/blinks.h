@@ -11,9 +11,9 @@
 
 namespace freetalk::talker {
 
-/// Closes the lids every 2.5 to 6 s, for 0.24 s, closing faster than opening [Trutoiu et al. 2011];
-/// a blink within 1.5 s of one that the motion has itself is left out. The same seed gives the same
-/// blinks.
+/// Closes the lids at random moments, twelve times a minute, for 0.38 s, closing faster than
+/// opening, as tracked eyes do; a blink within 1.5 s of one that the motion has itself is left out.
+/// The same seed gives the same blinks.
 /// @param motion (T, 68, 3) float32 m, changed in place. @param landmarks (68, 3) m, the
 /// template's.
 void add_blinks(at::Tensor& motion, const Eigen::MatrixXd& landmarks, double fps, uint64_t seed);
@@ -27,7 +27,7 @@ class BlinkTimes {
   void advance();
 
  private:
-  double uniform();
+  double wait();
   std::mt19937_64 random_;
   double next_ = 0;
 };

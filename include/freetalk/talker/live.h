@@ -31,7 +31,8 @@ struct LiveOptions {
   std::optional<double> audio_guidance;
   std::optional<double> affect_guidance;
   std::optional<double> mouth_temperature;
-  bool blinks = true;  // also blink where the model leaves the eyes open for long
+  double articulation = 1.0;  // see AnimateOptions
+  bool blinks = true;         // also blink where the model leaves the eyes open for long
   // Frames carry weights of the face's rig, which the first stream makes, and are decoded with it:
   // fast enough for live speech. Without, and with weights that hold no poses, STM decodes them.
   bool rig = true;
@@ -53,6 +54,7 @@ struct LiveOptions {
     v("audio_guidance", audio_guidance);
     v("affect_guidance", affect_guidance);
     v("mouth_temperature", mouth_temperature);
+    v("articulation", articulation);
     v("blinks", blinks);
     v("rig", rig);
   }

@@ -68,7 +68,11 @@ struct AnimateOptions {
   std::optional<double> audio_guidance;     // see ats::GenerateOptions
   std::optional<double> affect_guidance;    // see ats::GenerateOptions
   std::optional<double> mouth_temperature;  // see ats::GenerateOptions
-  bool blinks = true;  // also blink where the model leaves the eyes open for long
+  /// How far the mouth goes, in [0.5, 1.5]: below 1 mumbled, above 1 exaggerated, see
+  /// ats::articulate(). 1: as far as recorded mouths.
+  double articulation = 1.0;
+  bool blinks = true;        // also blink where the model leaves the eyes open for long
+  bool head_motion = false;  // small motion of the head, as Animation::head; see head_motion()
   /// Largest error of frames that are interpolated instead of decoded, see stm::AdaptiveOptions; 0:
   /// every frame is decoded.
   double tolerance_mm = 0.2;
@@ -88,7 +92,9 @@ struct AnimateOptions {
     v("audio_guidance", audio_guidance);
     v("affect_guidance", affect_guidance);
     v("mouth_temperature", mouth_temperature);
+    v("articulation", articulation);
     v("blinks", blinks);
+    v("head_motion", head_motion);
     v("tolerance_mm", tolerance_mm);
     v("scratch_dir", scratch_dir);
   }

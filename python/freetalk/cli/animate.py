@@ -163,7 +163,7 @@ def animate(
     report: Report,
 ) -> freetalk.Animation:
     """Generates the motion."""
-    names = ("intensity", "motion", "fps", "seed", "blinks")
+    names = ("intensity", "motion", "fps", "seed", "articulation", "blinks", "head_motion")
     options: dict[str, Any] = {name: getattr(arguments, name) for name in names}
     options["emotion"] = emotion
     options |= diffusion_options(arguments)

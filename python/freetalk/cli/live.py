@@ -66,7 +66,8 @@ def play(
     senders: list[Sender],
 ) -> None:
     """Runs the stream until the source ends."""
-    live = face.live(emotion=arguments.emotion, intensity=arguments.intensity, seed=arguments.seed)
+    names = ("emotion", "intensity", "seed", "articulation", "blinks")
+    live = face.live(**{name: getattr(arguments, name) for name in names})
     meter = Meter(report, live.latency_s)
     out = PacedFrames(senders, face.rig(), live.latency_s) if senders else None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 
-from freetalk.cli.numbers import natural, temperature, tolerance
+from freetalk.cli.numbers import articulation, natural, seed, temperature, tolerance
 
 DEFAULT_WEIGHTS = "open-small"
 _GUIDANCE = {"audio": "audio_guidance", "emotion": "affect_guidance"}
@@ -63,8 +63,31 @@ def diffusion_options(arguments: argparse.Namespace) -> dict[str, object]:
     return {**found, **given.get("guidance", {})}
 
 
+def add_performance(parser: argparse.ArgumentParser) -> None:
+    """Adds what animating a recording and live speech have in common."""
+    parser.add_argument("--seed", type=seed, default=0, help="another seed, another performance")
+    parser.add_argument(
+        "--articulation",
+        type=articulation,
+        default=1.0,
+        metavar="A",
+        help="from 0.5 (mumbled) to 1.5 (exaggerated): how far the mouth goes; lips that close still do",
+    )
+    parser.add_argument(
+        "--blinks",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="also blink where the model leaves the eyes open for long",
+    )
+
+
 def add_decoding(parser: argparse.ArgumentParser) -> None:
     """Adds how ``freetalk animate`` decodes and completes the motion."""
+    parser.add_argument(
+        "--head-motion",
+        action="store_true",
+        help="small motion of the head, that goes with the voice: a transform of its own in every format",
+    )
     tolerance_help = (
         "largest error in mm of frames that are interpolated instead of decoded by the network; 0 decodes "
         "every frame; by default 0.2"
@@ -80,12 +103,6 @@ def add_decoding(parser: argparse.ArgumentParser) -> None:
         "what makes the motion: ats, or facetalk where the weights hold it, which knows no emotions"
     )
     parser.add_argument("--motion", choices=("ats", "facetalk"), default="ats", help=motion_help)
-    parser.add_argument(
-        "--blinks",
-        action=argparse.BooleanOptionalAction,
-        default=True,
-        help="also blink where the model leaves the eyes open for long",
-    )
     parser.add_argument(
         "--precision",
         choices=("float32", "bfloat16"),

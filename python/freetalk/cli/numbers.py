@@ -46,6 +46,16 @@ def temperature(text: str) -> float:
     return value
 
 
+def articulation(text: str) -> float:
+    """A number from 0.5 to 1.5."""
+    value = number(text)
+    if not 0.5 <= value <= 1.5:
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is no articulation: give 0.5 to 1.5, 1 is usual"
+        )
+    return value
+
+
 def natural(text: str) -> int:
     """A whole number above 0."""
     if not text.isdecimal() or int(text) == 0:

@@ -27,6 +27,8 @@ def add_pack(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mouth-temperature", type=float, metavar="T", help=temperature_help)
     steps_help = "denoising steps, unless a user gives others; by default 25"
     parser.add_argument("--steps", type=int, metavar="N", help=steps_help)
+    gain_help = "gain of the mouth's motion at which it goes as far as recorded mouths do"
+    parser.add_argument("--articulation", type=float, default=1.0, metavar="A", help=gain_help)
     parser.add_argument(
         "--untraceable", action="store_true", help="take weights of an unknown commit or data"
     )
@@ -58,6 +60,7 @@ def run(arguments: argparse.Namespace) -> None:
         out,
         NUM_STEPS if arguments.steps is None else arguments.steps,
         MOUTH_TEMPERATURE if temperature is None else temperature,
+        arguments.articulation,
     )
     if lacking:
         raise ValueError(lacking)

@@ -7,7 +7,13 @@ import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from freetalk.cli.motion_options import DEFAULT_WEIGHTS, add_decoding, add_device, add_diffusion
+from freetalk.cli.motion_options import (
+    DEFAULT_WEIGHTS,
+    add_decoding,
+    add_device,
+    add_diffusion,
+    add_performance,
+)
 from freetalk.cli.numbers import at_least_one, natural, picture_size, positive, seed
 from freetalk.cli.score_options import add_evaluate, add_predict
 from freetalk.cli.weights import shipped_emotions
@@ -161,7 +167,7 @@ def _add_animate(commands: Any) -> None:
     parser.add_argument("--emotion", default="neutral", help=emotion_help)
     parser.add_argument("--intensity", type=at_least_one, metavar="X", help=_INTENSITY_HELP)
     parser.add_argument("--fps", type=positive, default=30.0, help="frames per second")
-    parser.add_argument("--seed", type=seed, default=0, help="another seed, another performance")
+    add_performance(parser)
     add_diffusion(parser)
     add_decoding(parser)
     _add_where(parser)
@@ -196,7 +202,7 @@ def _add_live(commands: Any) -> None:
     parser.add_argument("--mesh", metavar="FILE", help=mesh_help)
     parser.add_argument("--emotion", default="neutral", help="as of 'freetalk animate'")
     parser.add_argument("--intensity", type=at_least_one, metavar="X", help=_INTENSITY_HELP)
-    parser.add_argument("--seed", type=seed, default=0, help="another seed, another performance")
+    add_performance(parser)
     parser.add_argument(
         "--vertices", action="store_true", help="also compute the vertices of every frame"
     )

@@ -20,7 +20,15 @@ if TYPE_CHECKING:
     from freetalk.animation import Animation
 
 #: Of the options of a performance, those that the page lists.
-_LISTED = ("emotion", "intensity", "seed", "mouth_temperature", "sampler", "num_steps")
+_LISTED = (
+    "emotion",
+    "intensity",
+    "seed",
+    "mouth_temperature",
+    "articulation",
+    "sampler",
+    "num_steps",
+)
 
 
 def make_page(

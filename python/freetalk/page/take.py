@@ -89,6 +89,9 @@ def pack_take(
         header["rate_hz"] = sequence.sample_rate_hz
     if landmarks is not None:
         writer.add("landmarks", _checked_landmarks(landmarks, len(rest)))
+    if sequence.head is not None:
+        poses = [sequence.head_at(t / sequence.fps).T for t in range(sequence.num_frames)]
+        writer.add("head", np.stack(poses).astype(np.float32))  # columns first, as WebGL has them
     if curves:
         header["curves"] = list(curves)
         writer.add("curves", _checked_curves(curves, sequence.num_frames))

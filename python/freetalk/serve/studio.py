@@ -154,7 +154,7 @@ class Studio:
 
         Args:
             wish: ``mesh`` and ``sound`` (ids), ``emotion`` (a text as of ``freetalk animate``), and optionally
-                ``intensity``, ``seed``, ``mouth_temperature``.
+                ``intensity``, ``seed``, ``mouth_temperature``, ``articulation``.
             client: whose page asks.
 
         Raises:
@@ -249,7 +249,7 @@ def performance_options(wish: dict[str, Any]) -> dict[str, Any]:
     if not isinstance(emotion, str) or len(emotion) > _LONGEST_EMOTION:
         raise Refused("emotion must be a text")
     options: dict[str, Any] = {"emotion": emotion}
-    for name in ("intensity", "mouth_temperature"):
+    for name in ("intensity", "mouth_temperature", "articulation"):
         value = wish.get(name)
         if value is not None:
             if isinstance(value, bool) or not isinstance(value, int | float):

@@ -208,7 +208,8 @@ class Talker:
             progress: as for :meth:`prepare`.
             options: further fields of ``TalkerOptions``: intensity, motion ("ats", or "facetalk" where the weights
                 hold it), fps, seed, sampler ("ddim", "ddpm", "renoise", "dpmpp"), num_steps, eta, audio_guidance,
-                affect_guidance, mouth_temperature, blinks, tolerance_mm, and those of :meth:`prepare`. What is None is as the weights say.
+                affect_guidance, mouth_temperature, articulation (0.5 to 1.5: how far the mouth goes), blinks,
+                head_motion, tolerance_mm, and those of :meth:`prepare`. What is None is as the weights say.
 
         Returns:
             round(duration * fps) frames in the mesh's own unit, axes and vertex order.

@@ -19,7 +19,10 @@ _TEMPLATE_POINTS = 2500
 
 
 def assemble(
-    out: Path, num_steps: int = NUM_STEPS, mouth_temperature: float = MOUTH_TEMPERATURE
+    out: Path,
+    num_steps: int = NUM_STEPS,
+    mouth_temperature: float = MOUTH_TEMPERATURE,
+    articulation: float = 1.0,
 ) -> str:
     """Makes an output folder with all stages a folder of weights.
 
@@ -29,6 +32,7 @@ def assemble(
         out: output folder of trainings.
         num_steps: denoising steps, unless a user gives others.
         mouth_temperature: of sampling, likewise.
+        articulation: gain of the mouth's motion at which it goes as far as recorded mouths do.
 
     Returns:
         One sentence on what the folder still lacks; empty where it is complete.
@@ -58,7 +62,11 @@ def assemble(
         "fps": options["fps"],
         "sample_rate_hz": 16000,
         "emotions": options["emotions"],
-        "generate": {"num_steps": num_steps, "mouth_temperature": mouth_temperature},
+        "generate": {
+            "num_steps": num_steps,
+            "mouth_temperature": mouth_temperature,
+            "articulation": articulation,
+        },
     }
     write_json(out / "talker.json", about)
     return ""

@@ -69,7 +69,7 @@ def render_frames(
     """Draws several moments of an animation; see :func:`render_frame`."""
     sequence = as_sequence(animation)
     with FaceRenderer(sequence, size, view) as renderer:
-        return [renderer.image(sequence.at_time(time)) for time in times_s]
+        return [renderer.image(sequence.at_time(time), sequence.head_at(time)) for time in times_s]
 
 
 def save_image(image: Image, path: str | os.PathLike[str]) -> Path:

@@ -193,13 +193,20 @@ class FaceRenderer(OffScreen):
         self._mesh.point_data["color"][:] = np.clip(255 * colors, 0, 255).astype(np.uint8)
         self._mesh.Modified()
 
-    def image(self, points: NDArray[Any]) -> Image:
+    def image(self, points: NDArray[Any], head: NDArray[np.float64] | None = None) -> Image:
         """Draws the face at (V, 3) ``points`` in the mesh's own unit and axes.
+
+        Args:
+            points: of the surface.
+            head: (4, 4) pose of the head, upright and in metres, see :meth:`Sequence.head_at`.
 
         Returns:
             (height, width, 3) uint8.
         """
         self.move(points)
+        if head is not None:
+            for actor in self.plotter.actors.values():
+                actor.user_matrix = head
         self.plotter.render()
         return np.ascontiguousarray(self.plotter.screenshot(None, return_img=True)[..., :3])
 

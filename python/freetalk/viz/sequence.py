@@ -27,6 +27,7 @@ class Sequence:
         samples: (S,) mono sound in [-1, 1]; empty if there is none.
         sample_rate_hz: Rate of ``samples``.
         upright_matrix: (4, 4) similarity into metres, +Y up, +Z out of the face.
+        head: (T, 4, 4) rigid motion of the head, in the mesh's own unit and axes; None where it stays still.
         located: Whether that matrix also brings the face's mean landmark to the origin.
     """
 
@@ -38,6 +39,7 @@ class Sequence:
     sample_rate_hz: int = 16000
     upright_matrix: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
     located: bool = False
+    head: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         vertices, faces, motion = self.vertices, self.faces, self.displacements
@@ -76,6 +78,20 @@ class Sequence:
         motion = (1 - blend) * self.displacements[first] + blend * self.displacements[second]
         return self.vertices + motion
 
+    def head_at(self, time_s: float) -> NDArray[np.float64]:
+        """Returns the (4, 4) pose of the head at a time, upright and in metres, linear between frames."""
+        if self.head is None:
+            return np.eye(4)
+        position = float(np.clip(time_s * self.fps, 0, self.num_frames - 1))
+        first = int(position)
+        second = min(first + 1, self.num_frames - 1)
+        blend = position - first
+        pose = (1 - blend) * self.head[first] + blend * self.head[second]
+        result: NDArray[np.float64] = (
+            self.upright_matrix @ pose @ np.linalg.inv(self.upright_matrix)
+        )
+        return result
+
     def upright(self, points: NDArray[Any]) -> Points:
         """Brings (V, 3) points upright, to metres."""
         matrix = self.upright_matrix.astype(np.float32)
@@ -109,6 +125,7 @@ def as_sequence(animation: Any) -> Sequence:
         sample_rate_hz=rate,
         upright_matrix=_frame_matrix(animation) if canonical is None else canonical,
         located=canonical is not None,
+        head=None if getattr(animation, "head", None) is None else np.asarray(animation.head),
     )
 
 

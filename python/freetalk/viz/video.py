@@ -84,7 +84,8 @@ def save_video(
     target.parent.mkdir(parents=True, exist_ok=True)
     count = max(1, round(sequence.duration_s * rate))
     with FaceRenderer(sequence, size, view) as renderer:
-        frames = (renderer.image(sequence.at_time(k / float(rate))) for k in range(count))
+        times = (k / float(rate) for k in range(count))
+        frames = (renderer.image(sequence.at_time(t), sequence.head_at(t)) for t in times)
         shown = _with_progress(frames, count, target.name, progress)
         write_video(target, shown, size, rate, count, sequence.samples, sequence.sample_rate_hz)
     return target

@@ -37,6 +37,7 @@ TEST(MotionStream, AStreamOfOneWindowIsGenerate) {
   options.window_frames = 40;
   options.redo_frames = 0;
   options.generate.mouth_temperature = 0.5;
+  options.generate.articulation = 1.3;
   MotionStream stream(model, happy(), 7, options);
   const at::Tensor features = stream_features(16);
   const at::Tensor motion = stream.finish(features);
@@ -45,6 +46,10 @@ TEST(MotionStream, AStreamOfOneWindowIsGenerate) {
   // Weights are laid out for another number of rows: other rounding.
   EXPECT_TRUE(at::allclose(motion, whole, 1e-4, 1e-5));
   EXPECT_TRUE(at::equal(stream.finish(features), motion));  // it started afresh
+  options.generate.articulation = 1;
+  const at::Tensor plain =
+      generate(model, features, happy()[0].emotion, 2.0, options.generate, core::make_generator(7));
+  EXPECT_TRUE(at::equal(whole, articulate(plain, 1.3)));
 }
 
 TEST(MotionStream, ShowsEveryFrameOnceAndKeepsTheLastBack) {

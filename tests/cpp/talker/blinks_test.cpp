@@ -29,12 +29,16 @@ int64_t count(const at::Tensor& opening) {
   return (closed.slice(0, 1) & ~closed.slice(0, 0, -1)).sum().item<int64_t>();
 }
 
-TEST(Blinks, CloseTheLidsEveryFewSeconds) {
-  at::Tensor motion = at::zeros({1800, 68, 3});
+TEST(Blinks, AreAsManyAndAsLongAsTrackedOnes) {
+  constexpr int64_t kMinutes = 30;
+  at::Tensor motion = at::zeros({kMinutes * 1800, 68, 3});
   add_blinks(motion, open_eyes(), kFps, 3);
   const at::Tensor gap = opening(motion);
-  EXPECT_GE(count(gap), 10);  // a minute, one every 2.5 to 6 s
-  EXPECT_LE(count(gap), 24);
+  // 12.1 a minute; of 363 waits a standard deviation of 4 %.
+  EXPECT_NEAR(static_cast<double>(count(gap)) / kMinutes, 12.1, 1.5);
+  // Half closed for 0.19 of their 0.38 s.
+  EXPECT_NEAR(gap.lt(0.005).sum().item<double>() / kFps / static_cast<double>(count(gap)), 0.19,
+              0.02);
   EXPECT_LT(gap.min().item<double>(), 0.002);
   EXPECT_GT(gap.min().item<double>(), 0.0);
   EXPECT_GT(gap.median().item<double>(), 0.0099);

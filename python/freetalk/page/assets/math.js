@@ -31,6 +31,12 @@ function multiply(a, b) {
   return m;
 }
 
+/** Where a point is in the axes of a rigid pose. */
+function seenFrom(pose, point) {
+  const moved = minus(point, [pose[12], pose[13], pose[14]]);
+  return [0, 4, 8].map((c) => dot([pose[c], pose[c + 1], pose[c + 2]], moved));
+}
+
 const minus = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];

@@ -389,8 +389,8 @@ class Scene {
     const { gl, at } = this, surface = this.surface(take);
     const { matrix, eye, distance } = this.camera.look(take.header.framing, aspect);
     gl.useProgram(this.program);
-    gl.uniformMatrix4fv(at.camera, false, matrix);
-    gl.uniform3fv(at.eye, eye);
+    gl.uniformMatrix4fv(at.camera, false, take.pose ? multiply(matrix, take.pose) : matrix);
+    gl.uniform3fv(at.eye, take.pose ? seenFrom(take.pose, eye) : eye);
     gl.uniform1f(at.largest, look.largestMm);
     gl.uniform1f(at.pointSize, clamp((7 * this.canvas.height) / 900 / Math.sqrt(distance), 5, 22));
     const heat = look.truth && look.truth !== take && take.matches(look.truth);

@@ -31,12 +31,14 @@ class StudioPage {
     on("sound", "change", () => this.soundChosen());
     on("add-key", "click", () => this.pad.addAt(Math.min(this.app.player.time(), this.pad.duration)));
     on("dice", "click", () => (element("seed").value = Math.floor(Math.random() * 1e6)));
-    on("freedom", "input", () => this.showFreedom());
+    for (const name of ["freedom", "articulation"]) {
+      on(name, "input", () => this.showNumber(name));
+      this.showNumber(name);
+    }
     on("generate", "click", () => this.generate());
     on("live-start", "click", () => this.toggleLive());
     on("live-hear", "change", (event) => this.live?.running && this.live.hear(event.target.checked));
     this.connectDrops();
-    this.showFreedom();
   }
 
   async attempt(action) {
@@ -47,7 +49,7 @@ class StudioPage {
     }
   }
 
-  showFreedom() { element("freedom-text").textContent = Number(element("freedom").value).toFixed(2); }
+  showNumber(name) { element(`${name}-text`).textContent = Number(element(name).value).toFixed(2); }
 
   // ---- what the server says ----
 
@@ -213,7 +215,8 @@ class StudioPage {
     const seed = Number(element("seed").value);
     if (!Number.isSafeInteger(seed) || seed < 0) throw new Error("The variation is a whole number from 0 on.");
     await ask("takes", "POST", {
-      mesh: element("mesh").value, sound: element("sound").value, seed, mouth_temperature: Number(element("freedom").value), ...this.pad.wish(),
+      mesh: element("mesh").value, sound: element("sound").value, seed, mouth_temperature: Number(element("freedom").value),
+      articulation: Number(element("articulation").value), ...this.pad.wish(),
     });
     this.wake();
   }

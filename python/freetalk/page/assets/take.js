@@ -66,6 +66,8 @@ class Take {
     this.targets = arrays.targets;
     this.weights = arrays.weights;
     this.numTargets = this.weights.length / this.frames;
+    this.head = arrays.head || null; // (frames, 16) its pose
+    this.pose = this.head && this.head.slice(0, 16);
     this.positions = this.rest.slice();
     this.normals = new Float32Array(this.rest.length);
     this.shown = -1; // frame number of positions, fractional; of a live stream, how many were shown
@@ -88,6 +90,7 @@ class Take {
       const a = this.weights[before * count + k], b = this.weights[after * count + k];
       weights[k] = scale * (a + share * (b - a));
     }
+    if (this.head) for (let i = 0; i < 16; ++i) this.pose[i] = (1 - share) * this.head[16 * before + i] + share * this.head[16 * after + i];
     this.sum(weights);
     return true;
   }
