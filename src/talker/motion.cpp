@@ -33,7 +33,7 @@ at::Tensor facetalk_motion(const TalkerModels& models, const at::Tensor& samples
                          {seeds.begin(), seeds.end()}, [&](int64_t done, int64_t total) {
                            stages.at(static_cast<double>(done) / static_cast<double>(total));
                          });
-  return denoiser->landmarks(codes);
+  return ats::articulate(denoiser->landmarks(codes), options.articulation);
 }
 
 /// Motion that each seed gives to the speech.

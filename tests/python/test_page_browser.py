@@ -91,7 +91,7 @@ def test_frames_are_stepped_and_the_mouth_moves(visit: Visit) -> None:
 def test_a_moving_head_is_drawn_where_it_is(chromium: Any, tmp_path: Path) -> None:
     face = speaking(10, strength=0.0)
     head = np.tile(np.eye(4), (10, 1, 1))
-    head[:, 0, 3] = np.linspace(0, 0.045, 10)  # m, to the subject's left: to the right of the picture
+    head[:, 0, 3] = np.linspace(0, 0.045, 10)  # m, to the right
     options = {"fps": 25.0, "metadata": face.metadata, "head": head}
     page.save_page(ft.Animation(face.mesh, face.displacements, **options), tmp_path / "head.html")
     visit = Visit(chromium, (tmp_path / "head.html").as_uri())
