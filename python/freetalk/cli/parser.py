@@ -7,13 +7,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from freetalk.cli.motion_options import (
-    DEFAULT_WEIGHTS,
-    add_decoding,
-    add_device,
-    add_diffusion,
-    add_performance,
-)
+from freetalk.cli import motion_options as motion
 from freetalk.cli.numbers import at_least_one, natural, picture_size, positive, seed
 from freetalk.cli.score_options import add_evaluate, add_predict
 from freetalk.cli.weights import shipped_emotions
@@ -132,8 +126,8 @@ def _add_pose(parser: Parser) -> None:
 
 
 def _add_pretrained(parser: Parser) -> None:
-    help_text = "weights: a name (see 'freetalk models'), a folder, or OWNER/NAME on huggingface.co"
-    parser.add_argument("--pretrained", default=DEFAULT_WEIGHTS, metavar="NAME", help=help_text)
+    text = "weights: a name (see 'freetalk models'), a folder, or OWNER/NAME on huggingface.co"
+    parser.add_argument("--pretrained", default=motion.DEFAULT_WEIGHTS, metavar="NAME", help=text)
 
 
 def _add_animate(commands: Any) -> None:
@@ -167,12 +161,12 @@ def _add_animate(commands: Any) -> None:
     parser.add_argument("--emotion", default="neutral", help=emotion_help)
     parser.add_argument("--intensity", type=at_least_one, metavar="X", help=_INTENSITY_HELP)
     parser.add_argument("--fps", type=positive, default=30.0, help="frames per second")
-    add_performance(parser)
-    add_diffusion(parser)
-    add_decoding(parser)
+    motion.add_performance(parser)
+    motion.add_diffusion(parser)
+    motion.add_decoding(parser)
     _add_where(parser)
     _add_pretrained(parser)
-    add_device(parser)
+    motion.add_device(parser)
     out_help = "where to write; repeatable; for folders with {name} in it: 'talks/{name}.glb'"
     parser.add_argument("--out", action="append", required=True, metavar="PATH", help=out_help)
     parser.add_argument("--size", type=picture_size, default="720x720", help="pixels of a video")
@@ -202,7 +196,7 @@ def _add_live(commands: Any) -> None:
     parser.add_argument("--mesh", metavar="FILE", help=mesh_help)
     parser.add_argument("--emotion", default="neutral", help="as of 'freetalk animate'")
     parser.add_argument("--intensity", type=at_least_one, metavar="X", help=_INTENSITY_HELP)
-    add_performance(parser)
+    motion.add_performance(parser)
     parser.add_argument(
         "--vertices", action="store_true", help="also compute the vertices of every frame"
     )
