@@ -9,12 +9,9 @@
 
 namespace py = pybind11;
 namespace fa = freetalk::ats;
+using freetalk::bindings::value_or_undefined;
 
 namespace {
-
-at::Tensor value_or_undefined(const std::optional<at::Tensor>& tensor) {
-  return tensor.value_or(at::Tensor());
-}
 
 void bind_denoiser(py::module_& m) {
   freetalk::bindings::bind_options<fa::AtsOptions>(m, "AtsOptions",

@@ -6,11 +6,16 @@
 
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "bind_options.h"
 
 namespace freetalk::bindings {
+
+inline at::Tensor value_or_undefined(const std::optional<at::Tensor>& tensor) {
+  return tensor.value_or(at::Tensor());
+}
 
 template <class Impl, class Options>
 py::class_<Impl, std::shared_ptr<Impl>> bind_module_impl(py::module_& m, const char* name) {

@@ -36,7 +36,19 @@ _native.core.set_log_sink(logging.getLogger("freetalk").log)
 atexit.register(_native.core.set_log_sink, None)
 
 if TYPE_CHECKING:
-    from freetalk import ats, diffusion, facetalk, geometry, mesh, metrics, nn, rig, speech, stm
+    from freetalk import (
+        ats,
+        diffusion,
+        facetalk,
+        geometry,
+        head,
+        mesh,
+        metrics,
+        nn,
+        rig,
+        speech,
+        stm,
+    )
     from freetalk.animation import Animation
     from freetalk.audio import Audio, load_audio
     from freetalk.mesh import Mesh, load_mesh
@@ -61,6 +73,7 @@ _ROOMS = (
     "evaluate",
     "facetalk",
     "geometry",
+    "head",
     "mesh",
     "metrics",
     "nn",
@@ -84,6 +97,7 @@ __all__ = [
     "diffusion",
     "facetalk",
     "geometry",
+    "head",
     "load_audio",
     "load_mesh",
     "mesh",

@@ -65,6 +65,8 @@ struct Kernels {
   /// result (rows, outputs) = x w^T + bias. @param w (outputs, columns).
   void (*project)(const float* x, int64_t rows, int64_t columns, const float* w, const float* bias,
                   int64_t outputs, float* result);
+  /// x = log(1 + exp(beta x)) / beta. @param count a multiple of the panel.
+  void (*softplus)(float* x, int64_t count, float beta);
 };
 
 /// The kernels for isa().

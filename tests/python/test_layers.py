@@ -22,12 +22,13 @@ ROOMS: dict[str, set[str]] = {
     "diffusion": {"core"},
     "ats": {"core", "speech", "diffusion", "nn"},
     "stm": {"core", "nn", "geometry"},
+    "head": {"core", "nn", "geometry"},
     "rig": {"core", "geometry"},
     "facetalk": {"core", "speech", "diffusion", "nn", "geometry"},
     "metrics": {"core"},
     "animation": {"core", "audio", "mesh", "geometry"},
     "talker": {
-        "core", "audio", "mesh", "geometry", "nn", "speech", "diffusion", "ats", "stm", "rig",
+        "core", "audio", "mesh", "geometry", "nn", "speech", "diffusion", "ats", "stm", "head", "rig",
         "facetalk", "metrics", "animation",
     },
 }  # fmt: skip

@@ -13,6 +13,7 @@ from . import diffusion
 from . import ats
 from . import facetalk
 from . import stm
+from . import head
 from . import rig
 from . import metrics
 from . import animation
@@ -26,6 +27,7 @@ __all__: list[str] = [
     "diffusion",
     "facetalk",
     "geometry",
+    "head",
     "mesh",
     "metrics",
     "nn",

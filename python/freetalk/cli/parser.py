@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
+from freetalk.cli import head
 from freetalk.cli import motion_options as motion
 from freetalk.cli.numbers import at_least_one, natural, picture_size, positive, seed
 from freetalk.cli.score_options import add_evaluate, add_predict
@@ -79,6 +80,7 @@ def make_parser() -> Parser:
     _add_data(commands)
     _add_table(commands)
     _add_mesh(commands)
+    head.add_commands(_group(commands, "head", head.HELP)[1], _command)
     _add_speech(commands)
     _add_pages(commands)
     _add_models(commands)
@@ -358,18 +360,16 @@ def _add_speech(commands: Any) -> None:
     parser.add_argument("--encoder", metavar="DIR", help=encoder_help)
     _add_pretrained(parser)
     parser.add_argument("--out", required=True, metavar="NPY", help="where to write (T, C) float32")
-    parser = _command(
-        nested, "convert", "speech:convert", "turn a pytorch_model.bin into model.safetensors"
-    )
+    convert_help = "turn a pytorch_model.bin into model.safetensors"
+    parser = _command(nested, "convert", "speech:convert", convert_help)
     parser.add_argument("source", metavar="SOURCE", help="pytorch_model.bin, or its folder")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder to write")
     parser.add_argument("--half", action="store_true", help="store float16")
     from freetalk.cli.speech_options import add_align, add_probe
 
     add_align(_command(nested, "align", "speech_labels:align", "phone timings of recorded English"))
-    parser = _command(
-        nested, "probe", "speech_labels:probe", "how well an encoder tells viseme classes apart"
-    )
+    probe_help = "how well an encoder tells viseme classes apart"
+    parser = _command(nested, "probe", "speech_labels:probe", probe_help)
     add_probe(parser)
     _add_pretrained(parser)
 

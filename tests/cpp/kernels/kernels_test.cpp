@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdlib>
 #include <iostream>
@@ -141,6 +142,22 @@ TEST(BlockKernels, GramAndProductAreThePlainSumsAtEveryLevel) {
         for (int i = 0; i < 8; ++i) rest -= left[r * 8 + i] * gram[i * 8 + j];
         ASSERT_NEAR(target.row(r)[j], rest, 1e-12) << isa_name(level);
       }
+    }
+  }
+}
+
+TEST(FusedKernels, SoftplusIsItsFormulaAtEveryLevel) {
+  constexpr double kBeta = 100.0;
+  std::vector<float> x(512);
+  for (size_t i = 0; i < x.size(); ++i) x[i] = (static_cast<float>(i) - 256.0F) / 300.0F;
+  for (const Isa level : levels()) {
+    const IsaScope scope(level);
+    std::vector<float> y = x;
+    float_kernels().softplus(y.data(), static_cast<int64_t>(y.size()), static_cast<float>(kBeta));
+    for (size_t i = 0; i < x.size(); ++i) {  // the polynomial's 3e-7, over beta, and rounding
+      const double expected = std::log1p(std::exp(-std::abs(kBeta * x[i]))) / kBeta +
+                              std::max(0.0, static_cast<double>(x[i]));
+      EXPECT_NEAR(y[i], expected, 1e-7) << isa_name(level) << " at " << x[i];
     }
   }
 }

@@ -1,0 +1,78 @@
+"""Meshes of fixed topology that a head's codes move, and facial smoothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import torch
+
+from freetalk import _native
+from freetalk.head.model import PreparedHead
+
+SmoothingOptions = _native.head.SmoothingOptions
+TrackOptions = _native.head.TrackOptions
+
+
+def track(
+    head: PreparedHead,
+    template: torch.Tensor | np.ndarray,
+    z_exp: torch.Tensor,
+    *,
+    refined: Sequence[int] | np.ndarray = (),
+    options: _native.head.TrackOptions | None = None,
+    smoothing: _native.head.SmoothingOptions | None = None,
+    on_frame: Callable[[int, int], None] | None = None,
+) -> torch.Tensor:
+    """A template of fixed topology moved by expressions.
+
+    Args:
+        head: of one identity.
+        template: (V, 3) canonical points in metres: of ``extract(head, 0)``, of a face model's mesh, or of any
+            mesh by :func:`canonical_template`.
+        z_exp: (T, E) codes.
+        refined: vertices of lips and lids, put on their own side by Newton's method on the backward network.
+        options: ``TrackOptions``.
+        smoothing: ``SmoothingOptions``; None is none.
+        on_frame: called with frames done and frames in all; may raise to stop.
+
+    Returns:
+        (T, V, 3) float32, metres.
+
+    Raises:
+        ValueError: a shape does not fit, or numbers are not finite.
+    """
+    return _native.head.track(
+        head.native,
+        torch.as_tensor(template, dtype=torch.float32),
+        z_exp,
+        refined=[int(v) for v in refined],
+        options=options or TrackOptions(),
+        smoothing=smoothing or SmoothingOptions(),
+        on_frame=on_frame,
+    )
+
+
+def canonical_template(
+    head: PreparedHead, vertices: torch.Tensor | np.ndarray, z_exp: torch.Tensor | None = None
+) -> torch.Tensor:
+    """A posed mesh in canonical space, as a template of :func:`track`.
+
+    Args:
+        head: of the mesh's identity.
+        vertices: (V, 3) metres.
+        z_exp: (E,) code of its pose; None is the head's ``rest_expression``.
+
+    Returns:
+        (V, 3) float32, metres.
+    """
+    return _native.head.canonical_template(
+        head.native, torch.as_tensor(vertices, dtype=torch.float32), z_exp
+    )
+
+
+def smoothing_weights(
+    head: PreparedHead, points: torch.Tensor, options: _native.head.SmoothingOptions
+) -> torch.Tensor:
+    """Weights w of FaceTalk's Eq. 14, (N,) in [0, 1], at points (N, 3) in head units."""
+    return _native.head.smoothing_weights(head.native, points, options)
