@@ -217,6 +217,7 @@ def _add_train(commands: Any) -> None:
         ("stm", "sparse to mesh: landmark motion to the motion of any mesh"),
         ("speech", "the speech encoder"),
         ("facetalk", "FaceTalk: speech to expression weights or codes of a parametric head"),
+        ("head", "a neural parametric head, on heads of the built-in face"),
     ):
         parser = _command(kinds, kind, "train:run", f"train {what}")
         parser.set_defaults(kind=kind)

@@ -12,6 +12,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from freetalk.train.curves import LOGGERS
+from freetalk.train.head_options import HeadTaskOptions
 from freetalk.train.task_options import (
     AtsTaskOptions,
     FaceTalkTaskOptions,
@@ -115,12 +116,15 @@ class LoopOptions:
             require(value in known, f"{name} must be one of {', '.join(known)}", value)
 
 
-TaskOptions = AtsTaskOptions | StmTaskOptions | SpeechTaskOptions | FaceTalkTaskOptions
+TaskOptions = (
+    AtsTaskOptions | StmTaskOptions | SpeechTaskOptions | FaceTalkTaskOptions | HeadTaskOptions
+)
 _TASKS: dict[str, type[Any]] = {
     "ats": AtsTaskOptions,
     "stm": StmTaskOptions,
     "speech": SpeechTaskOptions,
     "facetalk": FaceTalkTaskOptions,
+    "head": HeadTaskOptions,
 }
 KINDS = tuple(_TASKS)
 
@@ -163,7 +167,7 @@ def load_config(kind: str, path: str | Path, overrides: list[str] | None = None)
     """Reads a YAML file with sections ``model``, ``loop`` and ``task``.
 
     Args:
-        kind: ``ats``, ``stm``, ``speech`` or ``facetalk``.
+        kind: ``ats``, ``stm``, ``speech``, ``facetalk`` or ``head``.
         path: YAML file, or the name of a shipped one (``ats_small``).
         overrides: ``section.key=value`` pairs that win over the file; a mapping (``{a: 1}``) takes the
             place of the file's.

@@ -19,7 +19,7 @@ def initial_weights(name: str, kind: str) -> Path:
     Args:
         name: folder of the weights, an output folder of a training, or the name of installed weights
             (``open-small``).
-        kind: ``ats``, ``stm``, ``speech`` or ``facetalk``.
+        kind: ``ats``, ``stm``, ``speech``, ``facetalk`` or ``head``.
 
     Raises:
         FileNotFoundError: none of them holds weights of that kind.
@@ -43,7 +43,7 @@ def start_from(model: nn.Module, name: str, kind: str) -> Path:
     Args:
         model: what is trained.
         name: see :func:`initial_weights`.
-        kind: ``ats``, ``stm``, ``speech`` or ``facetalk``.
+        kind: ``ats``, ``stm``, ``speech``, ``facetalk`` or ``head``.
 
     Returns:
         The folder that was read.

@@ -66,7 +66,8 @@ class Trainer:
         self.max_steps = self._steps_in_all()
         self.engine = engine or Engine(config.loop)
         self.checkpoints = out / "checkpoints" / config.kind
-        skips_layers = float(config.model.get("layerdrop", 0.0)) > 0
+        skips = getattr(task, "skips_parameters", False)
+        skips_layers = float(config.model.get("layerdrop", 0.0)) > 0 or skips
         self.module, self.optimizer = self.engine.prepare(
             StepLoss(task),
             torch.optim.AdamW(

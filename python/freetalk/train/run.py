@@ -38,7 +38,7 @@ def run(
     `out` are folders that all of them see.
 
     Args:
-        kind: ``ats``, ``stm``, ``speech`` or ``facetalk``.
+        kind: ``ats``, ``stm``, ``speech``, ``facetalk`` or ``head``.
         config_path: YAML file with sections ``model``, ``loop`` and ``task``.
         overrides: ``section.key=value`` pairs that win over the file.
         data: folder of the data, or several as ``NAME=PATH`` (see ``freetalk.data.open_datasets``).
@@ -118,6 +118,10 @@ def _new_task(config: TrainingConfig, corpus: Dataset, out: Path, device: torch.
         from freetalk.train.stm import StmTask
 
         return StmTask(config, corpus, out, device)
+    if config.kind == "head":
+        from freetalk.train.head import HeadTask
+
+        return HeadTask(config, corpus, out, device)
     from freetalk.train.speech import SpeechTask
 
     return SpeechTask(config, corpus, out, device)

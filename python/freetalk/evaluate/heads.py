@@ -1,0 +1,172 @@
+"""How well a trained neural parametric head shows faces that it has not seen: held-out identities and expressions."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from freetalk.corpus.heads import HeadModel, PosedHead, head_model, held_out_identities
+from freetalk.data import Dataset
+from freetalk.evaluate.surfaces import SurfaceScores, surface_scores
+from freetalk.geometry import SurfaceTree, isosurface_of_cells
+from freetalk.head import ParametricHead, PreparedHead
+from freetalk.train.head_options import HeadTaskOptions
+from freetalk.train.head_samples import Expressions
+
+Points = npt.NDArray[np.floating]
+Mesh = tuple[Points, npt.NDArray[np.integer]]
+
+REGIONS = ("face", "lips", "head")
+_SEED = 18
+_COARSE = 24  # cells along the longest axis of the first grid
+_MILLIMETRES = 1e3
+_THRESHOLDS_MM = (1.0, 5.0)
+
+
+@dataclass(frozen=True)
+class HeadScores:
+    """Scores by region (``face``, ``lips``, ``head``), mm; means over what was judged.
+
+    Attributes:
+        canonical: the identity's surface with the mouth a little open, found from the rig's code.
+        posed: that surface moved by the forward deformation, under held-out expressions.
+        heads: identities times expressions.
+    """
+
+    canonical: dict[str, SurfaceScores]
+    posed: dict[str, SurfaceScores]
+    heads: int
+
+
+def evaluate_head(
+    head: ParametricHead,
+    corpus: Dataset,
+    *,
+    identities: int = 8,
+    expressions: int = 2,
+    resolution: int = 192,
+    num_points: int = 50_000,
+) -> HeadScores:
+    """Scores of a head with maps of the built-in face's rig.
+
+    Args:
+        head: in eval mode, on the CPU, with a forward deformation.
+        corpus: whose test split the expressions are frames of.
+        identities: held-out ones, at most 32.
+        expressions: of each.
+        resolution: cells along the longest axis of the box.
+        num_points: sampled on each surface.
+
+    Raises:
+        ValueError: the corpus has other expressions or no test split, or the head has no surface.
+    """
+    rig = head_model()
+    sequences = corpus.sequences("test")
+    if not sequences:
+        raise ValueError(f"{corpus.name} has no test split")
+    drawn = Expressions(corpus, sequences, HeadTaskOptions(mixtures=0))
+    rng = np.random.default_rng(_SEED)
+    scale = _MILLIMETRES / head.options.units_per_metre
+    canonical: list[dict[str, SurfaceScores]] = []
+    posed: list[dict[str, SurfaceScores]] = []
+    for coefficients in held_out_identities()[:identities]:
+        code = head.identity_code(torch.from_numpy(coefficients)[None])[0].detach()
+        prepared = PreparedHead(head, code)
+        vertices, faces = _surface(head, prepared, resolution)
+        truth = PosedHead(rig, coefficients, rig.canonical_weights)
+        canonical.append(_by_region(rig, truth, (vertices * scale, faces), num_points))
+        for _ in range(expressions):
+            weights = drawn.draw(rng)
+            z_exp = head.expression_code(torch.from_numpy(weights)[None])[0].detach()
+            moved = prepared.to_posed(torch.from_numpy(vertices).float(), z_exp).numpy()
+            truth = PosedHead(rig, coefficients, weights)
+            posed.append(_by_region(rig, truth, (moved * scale, faces), num_points))
+    return HeadScores(_means(canonical), _means(posed), len(posed))
+
+
+def table(scores: HeadScores) -> str:
+    """Scores as lines of text, mm."""
+    lines = [f"{'':18s}  p2s   Chamfer  floor    NC    F@1    F@5"]
+    for kind, regions in (("canonical", scores.canonical), ("posed", scores.posed)):
+        for region, one in regions.items():
+            f_scores = " ".join(f"{one.f_scores[t]:6.3f}" for t in _THRESHOLDS_MM)
+            lines.append(
+                f"{kind:10s}{region:8s} {one.point_to_surface:5.2f}   {one.chamfer_l1:6.2f}  "
+                f"{one.sampling_floor:5.2f}  {one.normal_consistency:5.3f} {f_scores}"
+            )
+    return "\n".join(lines)
+
+
+def _surface(head: ParametricHead, prepared: PreparedHead, resolution: int) -> Mesh:
+    """The canonical surface in head units: coarse cells that may hold it, then their fine ones."""
+    low, high = np.array(head.options.box_min), np.array(head.options.box_max)
+    fine = max(1, round(resolution / _COARSE))
+    step = (high - low).max() / (_COARSE * fine)
+    cells = np.ceil((high - low) / (step * fine)).astype(int)
+
+    def values(corners: npt.NDArray[np.integer]) -> npt.NDArray[np.float32]:
+        points = torch.from_numpy(low + step * corners).float()
+        return prepared.canonical_sdf(points, fade=False).numpy()
+
+    coarse = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, 3)
+    reach = step * fine * np.sqrt(3.0)
+    near = coarse[np.abs(values(coarse * fine + fine // 2)) < reach] * fine
+    inner = np.array(list(itertools.product(range(fine), repeat=3)))
+    lowest = (near[:, None] + inner).reshape(-1, 3)
+    each = (lowest[:, None] + np.array(list(itertools.product((0, 1), repeat=3)))).reshape(-1, 3)
+    corners, index = np.unique(each, axis=0, return_inverse=True)
+    vertices, faces = isosurface_of_cells(
+        low + step * corners, values(corners), index.reshape(-1, 8)
+    )
+    if not len(faces):
+        raise ValueError(
+            "the head has no surface in its box: it is not trained, or the box is wrong"
+        )
+    return vertices, faces
+
+
+def _by_region(
+    rig: HeadModel, truth: PosedHead, found: Mesh, num_points: int
+) -> dict[str, SurfaceScores]:
+    """Scores of a surface, mm, where it is nearest to a region of the true one."""
+    vertices = truth.vertices * _MILLIMETRES
+    seen = truth.faces[truth.is_outer()]
+    tree = SurfaceTree(vertices, seen)
+    skin = len(rig.neutral)
+    of_vertices = {
+        "face": np.append(rig.is_face, np.ones(len(vertices) - skin, bool)),
+        "lips": np.append(rig.is_lips, np.zeros(len(vertices) - skin, bool)),
+        "head": np.ones(len(vertices), bool),
+    }
+    scores = {}
+    for region in REGIONS:
+        chosen = of_vertices[region][seen].all(axis=1)
+
+        def keep(points: Points, chosen: npt.NDArray[np.bool_] = chosen) -> npt.NDArray[np.bool_]:
+            return chosen[tree.nearest(points)[2]]
+
+        scores[region] = surface_scores(
+            found, (vertices, seen), thresholds=_THRESHOLDS_MM, num_points=num_points, keep=keep
+        )
+    return scores
+
+
+def _means(records: list[dict[str, SurfaceScores]]) -> dict[str, SurfaceScores]:
+    return {
+        region: SurfaceScores(
+            *(
+                float(np.mean([getattr(one[region], name) for one in records]))
+                for name in ("point_to_surface", "chamfer_l1", "normal_consistency")
+            ),
+            {
+                t: float(np.mean([one[region].f_scores[t] for one in records]))
+                for t in _THRESHOLDS_MM
+            },
+            float(np.mean([one[region].sampling_floor for one in records])),
+        )
+        for region in (REGIONS if records else ())
+    }
