@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +11,8 @@ import torch
 from freetalk.corpus.heads import HeadModel, PosedHead, head_model, held_out_identities
 from freetalk.data import Dataset
 from freetalk.evaluate.surfaces import SurfaceScores, surface_scores
-from freetalk.geometry import SurfaceTree, isosurface_of_cells
-from freetalk.head import ParametricHead, PreparedHead
+from freetalk.geometry import SurfaceTree
+from freetalk.head import ParametricHead, PreparedHead, extract, track
 from freetalk.train.head_options import HeadTaskOptions
 from freetalk.train.head_samples import Expressions
 
@@ -22,7 +21,6 @@ Mesh = tuple[Points, npt.NDArray[np.integer]]
 
 REGIONS = ("face", "lips", "head")
 _SEED = 18
-_COARSE = 24  # cells along the longest axis of the first grid
 _MILLIMETRES = 1e3
 _THRESHOLDS_MM = (1.0, 5.0)
 
@@ -48,7 +46,6 @@ def evaluate_head(
     *,
     identities: int = 8,
     expressions: int = 2,
-    resolution: int = 192,
     num_points: int = 50_000,
 ) -> HeadScores:
     """Scores of a head with maps of the built-in face's rig.
@@ -58,11 +55,11 @@ def evaluate_head(
         corpus: whose test split the expressions are frames of.
         identities: held-out ones, at most 32.
         expressions: of each.
-        resolution: cells along the longest axis of the box.
         num_points: sampled on each surface.
 
     Raises:
-        ValueError: the corpus has other expressions or no test split, or the head has no surface.
+        ValueError: the corpus has other expressions or no test split.
+        RuntimeError: the head has no surface in its box.
     """
     rig = head_model()
     sequences = corpus.sequences("test")
@@ -70,21 +67,23 @@ def evaluate_head(
         raise ValueError(f"{corpus.name} has no test split")
     drawn = Expressions(corpus, sequences, HeadTaskOptions(mixtures=0))
     rng = np.random.default_rng(_SEED)
-    scale = _MILLIMETRES / head.options.units_per_metre
+    neutral = torch.zeros(head.options.expression_dim)
     canonical: list[dict[str, SurfaceScores]] = []
     posed: list[dict[str, SurfaceScores]] = []
     for coefficients in held_out_identities()[:identities]:
         code = head.identity_code(torch.from_numpy(coefficients)[None])[0].detach()
         prepared = PreparedHead(head, code)
-        vertices, faces = _surface(head, prepared, resolution)
+        surface = extract(prepared, neutral)
         truth = PosedHead(rig, coefficients, rig.canonical_weights)
-        canonical.append(_by_region(rig, truth, (vertices * scale, faces), num_points))
+        canonical.append(
+            _by_region(rig, truth, (_MILLIMETRES * surface.vertices, surface.faces), num_points)
+        )
         for _ in range(expressions):
             weights = drawn.draw(rng)
             z_exp = head.expression_code(torch.from_numpy(weights)[None])[0].detach()
-            moved = prepared.to_posed(torch.from_numpy(vertices).float(), z_exp).numpy()
+            moved = track(prepared, surface.vertices, z_exp[None])[0].numpy()
             truth = PosedHead(rig, coefficients, weights)
-            posed.append(_by_region(rig, truth, (moved * scale, faces), num_points))
+            posed.append(_by_region(rig, truth, (_MILLIMETRES * moved, surface.faces), num_points))
     return HeadScores(_means(canonical), _means(posed), len(posed))
 
 
@@ -99,34 +98,6 @@ def table(scores: HeadScores) -> str:
                 f"{one.sampling_floor:5.2f}  {one.normal_consistency:5.3f} {f_scores}"
             )
     return "\n".join(lines)
-
-
-def _surface(head: ParametricHead, prepared: PreparedHead, resolution: int) -> Mesh:
-    """The canonical surface in head units: coarse cells that may hold it, then their fine ones."""
-    low, high = np.array(head.options.box_min), np.array(head.options.box_max)
-    fine = max(1, round(resolution / _COARSE))
-    step = (high - low).max() / (_COARSE * fine)
-    cells = np.ceil((high - low) / (step * fine)).astype(int)
-
-    def values(corners: npt.NDArray[np.integer]) -> npt.NDArray[np.float32]:
-        points = torch.from_numpy(low + step * corners).float()
-        return prepared.canonical_sdf(points, fade=False).numpy()
-
-    coarse = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1).reshape(-1, 3)
-    reach = step * fine * np.sqrt(3.0)
-    near = coarse[np.abs(values(coarse * fine + fine // 2)) < reach] * fine
-    inner = np.array(list(itertools.product(range(fine), repeat=3)))
-    lowest = (near[:, None] + inner).reshape(-1, 3)
-    each = (lowest[:, None] + np.array(list(itertools.product((0, 1), repeat=3)))).reshape(-1, 3)
-    corners, index = np.unique(each, axis=0, return_inverse=True)
-    vertices, faces = isosurface_of_cells(
-        low + step * corners, values(corners), index.reshape(-1, 8)
-    )
-    if not len(faces):
-        raise ValueError(
-            "the head has no surface in its box: it is not trained, or the box is wrong"
-        )
-    return vertices, faces
 
 
 def _by_region(

@@ -15,6 +15,7 @@ class HeadTaskOptions:
         init: weights to start from; empty starts from random ones.
         source_weights: share of each source of the corpus among the expressions, as in the other tasks.
         mixtures: share of the expressions that are random mixtures instead of frames of the corpus.
+        canonical_share: of the heads that are the canonical face itself, which the deformations leave where it is.
         identity_share: of the steps that train the identity field alone.
         deformation_share: of the steps after them that train the deformations alone; the rest trains both.
         gradient_share: last part of the identity stage with NPHM's loss on gradients, instead of differences along
@@ -44,6 +45,7 @@ class HeadTaskOptions:
     init: str = ""
     source_weights: dict[str, float] = field(default_factory=dict)
     mixtures: float = 0.25
+    canonical_share: float = 0.05
     identity_share: float = 0.5
     deformation_share: float = 0.25
     gradient_share: float = 0.2
@@ -70,7 +72,13 @@ class HeadTaskOptions:
 
     def check(self) -> None:
         """Raises ValueError where a value is out of range."""
-        for name in ("mixtures", "identity_share", "deformation_share", "gradient_share"):
+        for name in (
+            "mixtures",
+            "canonical_share",
+            "identity_share",
+            "deformation_share",
+            "gradient_share",
+        ):
             require(
                 0 <= getattr(self, name) <= 1, f"task.{name} must be in [0, 1]", getattr(self, name)
             )

@@ -8,7 +8,15 @@ import numpy as np
 
 from freetalk.corpus.assets import load_face_model
 from freetalk.corpus.curves import combined_shapes
-from freetalk.corpus.heads import Array, HeadModel, Points, PosedHead, draw_identity, draw_pairs
+from freetalk.corpus.heads import (
+    Array,
+    HeadModel,
+    Points,
+    PosedHead,
+    draw_identity,
+    draw_pairs,
+    head_model,
+)
 from freetalk.corpus.lips import Lips
 from freetalk.data import Dataset, MotionSequence
 from freetalk.train.head_options import HeadTaskOptions
@@ -153,6 +161,7 @@ class HeadBank:
     ) -> None:
         self._sampler, self._expressions = sampler, expressions
         self._size, self._reuse, self._seed = options.bank, options.reuse, seed
+        self._canonical_share = options.canonical_share
         self._era: tuple[str, int] = ("", -1)
         self._heads: dict[int, Samples] = {}
 
@@ -165,5 +174,7 @@ class HeadBank:
         if slot not in self._heads:
             own = np.random.default_rng([self._seed, era[1], slot])
             coefficients, weights = draw_identity(own), self._expressions.draw(own)
+            if own.random() < self._canonical_share:
+                weights = head_model().canonical_weights
             self._heads[slot] = self._sampler.samples(stage, coefficients, weights, own)
         return self._sampler.taken(self._heads[slot], rng)
