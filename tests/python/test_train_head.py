@@ -103,7 +103,7 @@ def test_a_stopped_training_goes_on_as_if_it_had_not(corpus: Path, tmp_path: Pat
 
 def test_stages_train_their_own_parts(task: HeadTask) -> None:
     identity = {"identity", "identity_map"}
-    moves = {"to_canonical", "to_posed", "expression_map"}
+    moves = {"deformation_backward", "deformation_forward", "expression_map"}
     assert trained_parts(task, 0) == identity
     assert trained_parts(task, 0, gradients=True) == identity
     assert trained_parts(task, 3) == moves

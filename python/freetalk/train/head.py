@@ -97,14 +97,16 @@ class HeadTask:
 
     def loss(self, batch: dict[str, Any], generator: torch.Generator) -> dict[str, Tensor]:
         """The terms of the batch's stage."""
+        for name, parameter in self.model.named_parameters():
+            if name.startswith("identity"):  # with the anchors, which deformations see
+                parameter.requires_grad_(batch["stage"] != "deformation")
         z_id = self.model.identity_code(batch["coefficients"])
         terms: dict[str, Tensor] = {}
         if batch["stage"] != "deformation":
             self._identity_terms(batch, z_id, terms)
         if batch["stage"] != "identity":
             z_exp = self.model.expression_code(batch["weights"])
-            frozen = z_id.detach() if batch["stage"] == "deformation" else z_id
-            self._deformation_terms(batch, frozen, z_exp, terms)
+            self._deformation_terms(batch, z_id, z_exp, terms)
             if batch["stage"] == "joint":
                 terms["posed_distance"] = self._distance(
                     self.model(batch["posed_points"], z_id, z_exp), batch["posed_distances"]
