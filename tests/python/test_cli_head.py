@@ -11,7 +11,7 @@ from test_head_fit import ball
 
 import freetalk
 from freetalk.cli import main
-from freetalk.head import load_codes
+from freetalk.head import ParametricHead, load_codes
 
 
 def run(*arguments: str | Path) -> int:
@@ -19,32 +19,23 @@ def run(*arguments: str | Path) -> int:
 
 
 def test_a_sampled_head_is_fitted_and_extracted_again(tmp_path: Path) -> None:
-    model = ball(coefficients=4)
+    trained = ball(coefficients=4)
+    options = trained.options
+    options.box_min, options.box_max = [-0.4] * 3, [0.4] * 3  # where it was trained to be a ball
+    model = ParametricHead(options).eval()
+    model.load_state_dict(trained.state_dict())
     model.save_pretrained(tmp_path / "head")
     first = tmp_path / "first.ply"
     size = ("--resolution", "128")
     assert run("sample", "--head", tmp_path / "head", "--seed", "3", "--out", first, *size) == 0
     codes = tmp_path / "codes.npz"
-    assert (
-        run(
-            "fit",
-            first,
-            "--head",
-            tmp_path / "head",
-            "--out",
-            codes,
-            "--points",
-            "300",
-            "--fps",
-            25,
-        )
-        == 0
-    )
+    about = ("--head", tmp_path / "head", "--out", codes, "--points", "300", "--fps", "25")
+    assert run("fit", first, *about) == 0
     assert load_codes(codes, model).z_exp.shape == (1, 5)
     again = tmp_path / "again.ply"
     assert run("extract", "--head", tmp_path / "head", "--codes", codes, "--out", again, *size) == 0
     a, b = (np.asarray(freetalk.load_mesh(path).vertices) for path in (first, again))
-    assert np.abs(a.max(0) - b.max(0)).max() < 2e-4  # metres
+    assert np.abs(a.max(0) - b.max(0)).max() < 5e-3  # metres, of 65 mm: the toy is rough
 
 
 def test_what_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
