@@ -1,5 +1,6 @@
 """Times a parametric head's surface, tracking and fitting against dense eager PyTorch, in turns within one run.
 
+    pip install scikit-image
     python scripts/bench/head.py
     python scripts/bench/head.py --head PRETRAINED/head --size small --repeats 3
     python scripts/bench/head.py --size paper --repeats 1
@@ -7,7 +8,7 @@
 The peers evaluate every local network at every point, as the public NPHM code does: a mesh asks all 256^3 points
 (timed on slices of 25,000 and multiplied) and takes scikit-image's marching cubes; tracking is the forward network in
 eager torch; fitting a frame is FaceTalk's Adam, 500 steps over 5,000 points (timed on --adam-steps of them). Without
---head, a head of the size asked is first fitted to an ellipsoid, a minute. Needs the package's `test` extra.
+--head, a head of the size asked is first fitted to an ellipsoid, a minute.
 """
 
 from __future__ import annotations
