@@ -87,6 +87,7 @@ class Animation:
         metadata_json: str = "{}",
         metres_per_unit: typing.SupportsFloat | typing.SupportsIndex = 1.0,
         to_y_up: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 3]"] = ...,
+        head: torch.Tensor | None = None,
     ) -> None: ...
     def save(self, path: os.PathLike | str | bytes, options: SaveOptions = ...) -> SaveReport: ...
     def vertices_at(
@@ -105,6 +106,11 @@ class Animation:
     def fps(self) -> float: ...
     @property
     def frame(self) -> MeshFrame: ...
+    @property
+    def head(self) -> torch.Tensor | None:
+        """
+        (T, 4, 4) float64 rigid motion of the mesh, None without.
+        """
     @property
     def mesh(self) -> freetalk._native.mesh.Mesh: ...
     @property

@@ -7,6 +7,7 @@ __all__: list[str] = [
     "AtsImpl",
     "AtsOptions",
     "GenerateOptions",
+    "articulate",
     "emotion_track",
     "generate",
     "parse_emotion",
@@ -86,6 +87,7 @@ class GenerateOptions:
 
     __hash__: typing.ClassVar[None] = None
     affect_guidance: typing.Any
+    articulation: typing.Any
     audio_guidance: typing.Any
     eta: typing.Any
     mouth_temperature: typing.Any
@@ -109,6 +111,13 @@ class GenerateOptions:
         """
         All fields by name.
         """
+
+def articulate(
+    motion: torch.Tensor, gain: typing.SupportsFloat | typing.SupportsIndex
+) -> torch.Tensor:
+    """
+    (..., 68, 3) displacements, m, with the motion of lips and jaw scaled about the neutral face; closures stay.
+    """
 
 def emotion_track(
     text: str,

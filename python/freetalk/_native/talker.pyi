@@ -58,11 +58,13 @@ class AnimateOptions:
 
     __hash__: typing.ClassVar[None] = None
     affect_guidance: typing.Any
+    articulation: typing.Any
     audio_guidance: typing.Any
     blinks: typing.Any
     emotion: typing.Any
     eta: typing.Any
     fps: typing.Any
+    head_motion: typing.Any
     intensity: typing.Any
     motion: typing.Any
     mouth_temperature: typing.Any
@@ -93,6 +95,7 @@ class TalkerOptions:
 
     __hash__: typing.ClassVar[None] = None
     affect_guidance: typing.Any
+    articulation: typing.Any
     audio_guidance: typing.Any
     blinks: typing.Any
     cache_dir: typing.Any
@@ -101,6 +104,7 @@ class TalkerOptions:
     follow_landmarks: typing.Any
     forward: typing.Any
     fps: typing.Any
+    head_motion: typing.Any
     intensity: typing.Any
     memory_mb: typing.Any
     motion: typing.Any
@@ -203,6 +207,7 @@ class LiveOptions:
 
     __hash__: typing.ClassVar[None] = None
     affect_guidance: typing.Any
+    articulation: typing.Any
     audio_guidance: typing.Any
     blinks: typing.Any
     context_s: typing.Any

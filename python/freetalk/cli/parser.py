@@ -70,9 +70,8 @@ def make_parser() -> Parser:
     _add_animate(commands)
     _add_live(commands)
     _add_train(commands)
-    add_predict(
-        _command(commands, "predict", "predict:run", "write the motion that weights predict")
-    )
+    predict = _command(commands, "predict", "predict:run", "write the motion that weights predict")
+    add_predict(predict)
     add_evaluate(
         _command(commands, "evaluate", "evaluate:run", "score weights, or any system's predictions")
     )

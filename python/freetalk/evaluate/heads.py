@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -115,7 +116,7 @@ def _by_region(
     }
     scores = {}
     for region in REGIONS:
-        chosen = of_vertices[region][seen].all(axis=1)
+        chosen: npt.NDArray[np.bool_] = np.asarray(of_vertices[region][seen].all(axis=1), bool)
 
         def keep(points: Points, chosen: npt.NDArray[np.bool_] = chosen) -> npt.NDArray[np.bool_]:
             return chosen[tree.nearest(points)[2]]
@@ -128,16 +129,19 @@ def _by_region(
 
 def _means(records: list[dict[str, SurfaceScores]]) -> dict[str, SurfaceScores]:
     return {
-        region: SurfaceScores(
-            *(
-                float(np.mean([getattr(one[region], name) for one in records]))
-                for name in ("point_to_surface", "chamfer_l1", "normal_consistency")
-            ),
-            {
-                t: float(np.mean([one[region].f_scores[t] for one in records]))
-                for t in _THRESHOLDS_MM
-            },
-            float(np.mean([one[region].sampling_floor for one in records])),
-        )
+        region: _mean([record[region] for record in records])
         for region in (REGIONS if records else ())
     }
+
+
+def _mean(scores: list[SurfaceScores]) -> SurfaceScores:
+    def of(value: Callable[[SurfaceScores], float]) -> float:
+        return float(np.mean([value(one) for one in scores]))
+
+    return SurfaceScores(
+        point_to_surface=of(lambda one: one.point_to_surface),
+        chamfer_l1=of(lambda one: one.chamfer_l1),
+        normal_consistency=of(lambda one: one.normal_consistency),
+        f_scores={t: of(lambda one, t=t: one.f_scores[t]) for t in _THRESHOLDS_MM},  # type: ignore[misc]
+        sampling_floor=of(lambda one: one.sampling_floor),
+    )
