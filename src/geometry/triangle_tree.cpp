@@ -13,7 +13,8 @@ namespace {
 
 constexpr int kDepth = 64;  // halves of at most 2^31 triangles fit
 
-/// The point of triangle abc nearest to p (Ericson, "Real-Time Collision Detection", 5.1.5).
+/// The point of triangle abc nearest to p (Ericson, "Real-Time Collision Detection", 5.1.5). An
+/// edge of no length has no say.
 Eigen::Vector3d nearest_on_triangle(const Eigen::Vector3d& p, const Eigen::Vector3d& a,
                                     const Eigen::Vector3d& b, const Eigen::Vector3d& c) {
   const auto share = [](double part, double rest) {
@@ -26,12 +27,12 @@ Eigen::Vector3d nearest_on_triangle(const Eigen::Vector3d& p, const Eigen::Vecto
   const double d3 = ab.dot(bp), d4 = ac.dot(bp);
   if (d3 >= 0.0 && d4 <= d3) return b;
   const double vc = d1 * d4 - d3 * d2;
-  if (vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0) return a + share(d1, -d3) * ab;
+  if (vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 && d1 > d3) return a + share(d1, -d3) * ab;
   const Eigen::Vector3d cp = p - c;
   const double d5 = ab.dot(cp), d6 = ac.dot(cp);
   if (d6 >= 0.0 && d5 <= d6) return c;
   const double vb = d5 * d2 - d1 * d6;
-  if (vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0) return a + share(d2, -d6) * ac;
+  if (vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 && d2 > d6) return a + share(d2, -d6) * ac;
   const double va = d3 * d6 - d5 * d4;
   if (va <= 0.0 && d4 >= d3 && d5 >= d6) return b + share(d4 - d3, d5 - d6) * (c - b);
   const double scale = 1.0 / (va + vb + vc);

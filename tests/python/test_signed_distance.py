@@ -54,7 +54,8 @@ def test_winding_numbers_are_those_of_libigl(points: NDArray) -> None:
     tree = geometry.SurfaceTree(vertices, faces)
     exact = igl.winding_number(vertices, faces, points)
     assert np.allclose(tree.winding_number(points, accuracy=np.inf), exact, atol=1e-9)
-    assert np.abs(tree.winding_number(points) - exact).max() < 0.01
+    assert np.abs(tree.winding_number(points) - exact).max() < 0.1
+    assert np.abs(tree.winding_number(points, accuracy=6) - exact).max() < 0.01
 
 
 def test_sphere_has_its_signed_distance(points: NDArray) -> None:
@@ -90,7 +91,7 @@ def test_bad_surfaces_and_points_are_refused() -> None:
 def test_closed_holes_leave_a_closed_mesh() -> None:
     vertices, faces = ball(0.5)
     middles = vertices[faces].mean(axis=1)
-    kept = faces[(middles[:, 0] < 0.3) & (middles[:, 1] < 0.4)]
+    kept = faces[(middles[:, 0] < 0.38) & (middles[:, 1] < 0.42)]
     loops = boundary_loops(kept.tolist())
     assert len(loops) == 2
     closed = close_holes(vertices, kept)

@@ -163,7 +163,7 @@ def test_the_learning_rate_follows_the_clock_only_when_asked(
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda p: p.stem)
 def test_shipped_recipes_repeat_on_any_machine(path: Path) -> None:
-    (kind,) = set(path.stem.split("_")) & {"ats", "stm", "speech"}
+    (kind,) = set(path.stem.split("_")) & {"ats", "stm", "speech", "facetalk", "head"}
     options = load_config(kind, path).loop
     assert options.max_minutes == 0 and options.lr_schedule != "cosine_minutes"
 

@@ -15,7 +15,7 @@ namespace {
 /// (T, 3) m, between the inner lips.
 at::Tensor gaps(const at::Tensor& motion) {
   const at::Tensor height = motion.select(-1, 1);
-  return height.index_select(-1, at::tensor({61, 62, 63})) -
+  return height.index_select(-1, at::tensor({61, 62, 63}, at::kLong)) -
          height.index_select(-1, at::tensor({67, 66, 65}));
 }
 
@@ -24,7 +24,7 @@ at::Tensor mouths() {
   at::Tensor motion = 2e-3 * torch::randn({400, 68, 3}, core::make_generator(1));
   const at::Tensor wanted = torch::linspace(-1e-3, 2e-2, 400).unsqueeze(1).expand({400, 3});
   const at::Tensor lower = motion.select(-1, 1).index_select(-1, at::tensor({67, 66, 65}));
-  motion.select(-1, 1).index_copy_(-1, at::tensor({61, 62, 63}), lower + wanted);
+  motion.select(-1, 1).index_copy_(-1, at::tensor({61, 62, 63}, at::kLong), lower + wanted);
   return motion;
 }
 
