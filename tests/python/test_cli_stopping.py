@@ -42,6 +42,7 @@ def test_a_signal_clears_half_written_files_away(
             signal.raise_signal(number)
 
     monkeypatch.setattr(models, "list_models", stopped)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background ignores it
     assert main(["models", "list"]) == status
     assert list(tmp_path.iterdir()) == []
     assert len(capsys.readouterr().err.splitlines()) == 1
