@@ -367,7 +367,7 @@ def test_what_a_table_lacks_is_named(corpus: Path, tmp_path: Path) -> None:
         Catalogue([f"FLAME={corpus}"], {})
     with pytest.raises(ValueError, match="EmoVOCA=DIR"):
         Catalogue([f"BIWI={corpus}"], {}).view("EmoVOCA", ViewOptions())
-    with pytest.raises(ValueError, match=r"stm\.section"):
+    with pytest.raises(ValueError, match=r"KIND\.section"):
         Recipes(TINY, 0, ["loop.max_steps=3"])
     unmasked = packed(write_folder(tmp_path / "own", frames=20, fps=25))
     with pytest.raises(ValueError, match="MEAD-EMOTE has no mask of the lips and the upper"):

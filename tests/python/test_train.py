@@ -98,10 +98,18 @@ def test_motion_loss_weights_points() -> None:
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda p: p.stem)
 def test_shipped_configurations_are_valid(path: Path) -> None:
     from freetalk.ats import AtsOptions
+    from freetalk.facetalk import FaceTalkOptions
+    from freetalk.head import HeadOptions
     from freetalk.speech import SpeechEncoderOptions
     from freetalk.stm import StmOptions
 
-    options = {"ats": AtsOptions, "stm": StmOptions, "speech": SpeechEncoderOptions}
+    options = {
+        "ats": AtsOptions,
+        "stm": StmOptions,
+        "speech": SpeechEncoderOptions,
+        "facetalk": FaceTalkOptions,
+        "head": HeadOptions,
+    }
     (kind,) = set(path.stem.split("_")) & set(options)  # ats_small, table_stm
     options[kind].from_dict(load_config(kind, path).model)
 

@@ -155,7 +155,9 @@ class HeadTask:
             "options": model.options.to_dict(),
             "training": {**training, "data": self.corpus.describe()},
         }
-        export_model(directory, config, dict(model.state_dict()), keep_float32=("identity.anchors",))
+        export_model(
+            directory, config, dict(model.state_dict()), keep_float32=("identity.anchors",)
+        )
 
     def _distance(self, found: Tensor, true: Tensor) -> Tensor:
         """Mean difference of distances, both clamped where only the sign matters."""
