@@ -79,7 +79,7 @@ def test_twenty_steps_of_dpm_solver_equal_a_hundred_of_ddim(
     whole = motion(num_steps=100)
     twenty = relative(motion(sampler="dpmpp", num_steps=20), whole)
     assert twenty < 0.02
-    assert relative(motion(sampler="dpmpp", num_steps=10), whole) < 0.03
+    assert relative(motion(sampler="dpmpp", num_steps=10), whole) < 0.05
     assert relative(motion(sampler="ddim", num_steps=20), whole) > twenty
     # Eight bits of mantissa, through four layers whose residuals add up.
     assert relative(motion(num_steps=100, precision="bfloat16"), whole) < 0.03

@@ -74,7 +74,7 @@ def _unpack(
     targets: NDArray[np.int16], weights: NDArray[np.uint16], step_m: float
 ) -> NDArray[np.float32]:
     scaled = weights.astype(np.float32) * np.float32(step_m / _WEIGHT_STEPS)
-    flat = scaled @ targets.reshape(len(targets), -1).astype(np.float32)
+    flat = scaled @ targets.reshape(len(targets), 3 * targets.shape[1]).astype(np.float32)
     return flat.reshape(len(weights), *targets.shape[1:])
 
 
