@@ -63,7 +63,7 @@ def test_landmarks_of_weights_are_those_of_the_data(
 ) -> None:
     own = task(corpus, tmp_path, shared)
     sequence = own.held_out[0]
-    codes = torch.from_numpy(own.windows.codes(sequence))
+    codes = torch.from_numpy(own.windows.motion(sequence, 0, None))
     true = torch.from_numpy(own.corpus.landmarks(sequence))
     # A ridge of 1e-6 of the mean variance, landmarks of millimetres.
     torch.testing.assert_close(own.model.landmarks(codes), true, atol=2e-5, rtol=1e-3)

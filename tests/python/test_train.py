@@ -125,6 +125,10 @@ def test_overrides_win_and_unknown_keys_name_the_nearest() -> None:
         ValueError, match=r"lr_schedule must be one of cosine, cosine_minutes, constant"
     ):
         load_config("ats", path, ["loop.lr_schedule=step"])
+    for kind in ("ats", "facetalk"):
+        for name, value in (("blend", 2), ("audio_dropout", -1), ("step_power", 0)):
+            with pytest.raises(ValueError, match=rf"task\.{name} must be .*, got {value}"):
+                load_config(kind, CONFIGS / f"{kind}_smoke.yaml", [f"task.{name}={value}"])
     with pytest.raises(ValueError, match=r"unknown training 'xyz'; known: ats, stm, speech"):
         load_config("xyz", path)
     with pytest.raises(FileNotFoundError, match=r"nowhere\.yaml"):

@@ -15,7 +15,7 @@ from freetalk.tables.sets import Catalogue
 from freetalk.tables.views import ViewOptions
 from freetalk.train.config import load_config
 from freetalk.train.run import train_dataset
-from freetalk.train.task_options import AtsTaskOptions, FaceTalkTaskOptions
+from freetalk.train.task_options import DenoisingTaskOptions
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Training:
         data = catalogue.mixture(self.sets, self.view).fingerprint
         task = config.task
         encoder = ""
-        if isinstance(task, AtsTaskOptions | FaceTalkTaskOptions):
+        if isinstance(task, DenoisingTaskOptions):
             encoder = content_hash(encoder_folder(task.speech_encoder))
         described = [self.kind, config.to_dict(), data, encoder]
         content = json.dumps(described, sort_keys=True)

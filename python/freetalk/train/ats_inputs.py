@@ -8,7 +8,7 @@ from typing import Any
 from freetalk._pretrained import PRETRAINED
 from freetalk.data import Dataset, MotionSequence
 from freetalk.train.initial import initial_weights
-from freetalk.train.task_options import AtsTaskOptions, FaceTalkTaskOptions
+from freetalk.train.task_options import AtsTaskOptions, DenoisingTaskOptions
 
 
 def audible(sequences: list[MotionSequence]) -> list[MotionSequence]:
@@ -43,7 +43,7 @@ def named_encoder(name: str) -> Path:
     return shipped if not Path(name).exists() and shipped.is_dir() else Path(name)
 
 
-def speech_encoder(options: AtsTaskOptions | FaceTalkTaskOptions, out: Path) -> Path:
+def speech_encoder(options: DenoisingTaskOptions, out: Path) -> Path:
     """Folder of the speech encoder that the options name or imply, never one that nobody named.
 
     Raises:

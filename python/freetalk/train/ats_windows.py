@@ -7,15 +7,18 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
-from freetalk.data import NUM_LANDMARKS, Dataset, MotionSequence, interpolate_frames
+from freetalk.data import Dataset, MotionSequence
+from freetalk.data.pack import FloatArray
 from freetalk.train.features import FeatureCache
-from freetalk.train.mosaic import FloatArray, Mosaics
+from freetalk.train.mosaic import Mosaics
 from freetalk.train.task_options import AtsTaskOptions
+from freetalk.train.windows import Windows
 
 
-class AtsWindows:
-    """Cuts windows out of sequences, altered or as they are, and stacks them.
+class AtsWindows(Windows):
+    """Windows whose motion is that of the landmarks, (T, 204) m, with emotion and intensity.
 
     Args:
         options: how they are altered.
@@ -35,8 +38,9 @@ class AtsWindows:
         shares: dict[str, float],
         frames: int,
     ) -> None:
-        self.options, self.corpus, self.features = options, corpus, features
+        super().__init__(options, corpus, features, corpus.landmarks)
         self.frames = frames
+        self._mosaic = options.mosaic
         self._sequences = list(sequences)
         self._mosaics = Mosaics(self._sequences, shares)
 
@@ -47,62 +51,31 @@ class AtsWindows:
         first: int | None = None,
         altered: bool = True,
     ) -> dict[str, Any]:
-        """A window that begins at frame `first` of a sequence, or at a drawn one."""
+        def piece(source: MotionSequence, frames: int) -> tuple[FloatArray, FloatArray]:
+            return self._piece(source, frames, rng)
 
-        def piece(
-            source: MotionSequence, frames: int, given: int | None = None
-        ) -> tuple[FloatArray, FloatArray]:
-            copies = self.features.copies(source)
-            copy = copies[int(rng.integers(len(copies)))] if altered else copies[0]
-            latest = max(0, copy.num_frames - frames)
-            drawn = int(rng.integers(0, latest + 1))
-            start = drawn if given is None else min(round(given / copy.speed), latest)
-            audio = self.features.features(copy, start, start + frames)
-            at = (start + np.arange(len(audio))) * copy.speed
-            low, stop = int(at[0]), int(at[-1]) + 2
-            return audio, interpolate_frames(self.corpus.landmarks(source, low, stop), at - low)
-
-        length = self.frames
-        if altered and rng.random() < self.options.mosaic:
-            audio, motion = self._mosaics.window(sequence, length, piece, rng)
+        if altered and rng.random() < self._mosaic:
+            audio, motion = self._mosaics.window(sequence, self.frames, piece, rng)
         else:
-            audio, motion = piece(sequence, length, first)
-        if altered:
-            o = self.options
-            audio = self.features.altered(
-                audio, o.feature_noise, o.feature_shift, o.feature_dropout, rng
-            )
+            audio, motion = self._piece(sequence, self.frames, rng, first, altered)
         return {
-            "audio": audio,
+            "audio": self._altered(audio, rng) if altered else audio,
             "motion": motion.reshape(len(motion), -1),
             "emotion": np.eye(len(self.corpus.emotions), dtype=np.float32)[sequence.emotion],
             "intensity": sequence.intensity,
         }
 
-    def stack(self, items: list[dict[str, Any]]) -> dict[str, Any]:
-        longest = max(len(item["motion"]) for item in items)
-        audio = torch.zeros(len(items), longest, self.features.width)
-        motion = torch.zeros(len(items), longest, 3 * NUM_LANDMARKS)
-        valid = torch.zeros(len(items), longest, dtype=torch.bool)
-        emotion = torch.zeros(len(items), len(self.corpus.emotions))
-        for row, item in enumerate(items):
-            frames = len(item["motion"])
-            audio[row, :frames] = torch.from_numpy(item["audio"])
-            motion[row, :frames] = torch.from_numpy(item["motion"])
-            valid[row, :frames] = True
-            emotion[row] = torch.from_numpy(item["emotion"])
-        intensity = torch.tensor([item["intensity"] for item in items], dtype=torch.float32)
+    def stack(self, items: list[dict[str, Any]]) -> dict[str, Tensor]:
+        """As of any windows, with ``emotion`` (B, E) and ``intensity`` (B,)."""
         return {
-            "audio": audio,
-            "motion": motion,
-            "valid": valid,
-            "emotion": emotion,
-            "intensity": intensity,
+            **super().stack(items),
+            "emotion": torch.from_numpy(np.stack([item["emotion"] for item in items])),
+            "intensity": torch.tensor([item["intensity"] for item in items], dtype=torch.float32),
         }
 
     def longest(self) -> int:
         """Frames of the longest window that there is."""
-        if self.options.mosaic > 0:
+        if self._mosaic > 0:
             return self.frames
-        found = (copy.num_frames for s in self._sequences for copy in self.features.copies(s))
+        found = (copy.num_frames for s in self._sequences for copy in self.copies(s))
         return min(self.frames, max(found))

@@ -5,16 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import torch
 
-from freetalk.data import Dataset, MotionSequence, interpolate_frames
+from freetalk.data import Dataset, MotionSequence
 from freetalk.data.pack import FloatArray
 from freetalk.train.features import FeatureCache
 from freetalk.train.task_options import FaceTalkTaskOptions
+from freetalk.train.windows import Windows
 
 
-class CodeWindows:
-    """Cuts windows out of sequences, altered or as they are, and stacks them.
+class CodeWindows(Windows):
+    """Windows whose motion is codes (T, Z).
 
     Args:
         options: how they are altered.
@@ -23,6 +23,8 @@ class CodeWindows:
         rest: (Z,) code of the face at rest, about which amplitudes are changed.
     """
 
+    target = "codes"
+
     def __init__(
         self,
         options: FaceTalkTaskOptions,
@@ -30,21 +32,9 @@ class CodeWindows:
         features: FeatureCache | None,
         rest: FloatArray,
     ) -> None:
-        self.options, self.corpus, self.features, self.rest = options, corpus, features, rest
-
-    def codes(
-        self, sequence: MotionSequence, start: int = 0, stop: int | None = None
-    ) -> FloatArray:
-        """Codes of frames [start, stop), (T, Z)."""
-        kind = self.corpus.codes if self.options.targets == "head" else self.corpus.weights
-        return kind(sequence, start, stop)
-
-    def heard(self, sequence: MotionSequence, start: int, stop: int) -> FloatArray:
-        """What is heard in frames [start, stop) of a sequence as it is, (T, C)."""
-        if self.features is not None:
-            return self.features.features(self.features.copies(sequence)[0], start, stop)
-        landmarks = self.corpus.landmarks(sequence, start, stop)
-        return landmarks.reshape(len(landmarks), -1)
+        codes = corpus.codes if options.targets == "head" else corpus.weights
+        super().__init__(options, corpus, features, codes)
+        self.options, self.rest = options, rest
 
     def cut(
         self,
@@ -53,41 +43,11 @@ class CodeWindows:
         first: int | None = None,
         altered: bool = True,
     ) -> dict[str, Any]:
-        """A window that begins at frame `first` of a sequence, or at a drawn one."""
-        o, frames = self.options, self.options.window_frames
-        if self.features is None:
-            drawn = int(rng.integers(max(0, sequence.num_frames - frames) + 1))
-            start = drawn if first is None else first
-            audio = self.heard(sequence, start, start + frames)
-            codes = self.codes(sequence, start, start + frames)
-        else:
-            copies = self.features.copies(sequence)
-            copy = copies[int(rng.integers(len(copies)))] if altered else copies[0]
-            latest = max(0, copy.num_frames - frames)
-            drawn = int(rng.integers(latest + 1))
-            start = drawn if first is None else min(round(first / copy.speed), latest)
-            audio = self.features.features(copy, start, start + frames)
-            at = (start + np.arange(len(audio))) * copy.speed
-            low, stop = int(at[0]), int(at[-1]) + 2
-            codes = interpolate_frames(self.codes(sequence, low, stop), at - low)
-            if altered:
-                audio = self.features.altered(
-                    audio, o.feature_noise, o.feature_shift, o.feature_dropout, rng
-                )
-        if altered and o.amplitude_low < o.amplitude_high:
-            amplitude = np.float32(rng.uniform(o.amplitude_low, o.amplitude_high))
-            codes = self.rest + amplitude * (codes - self.rest)
+        o = self.options
+        audio, codes = self._piece(sequence, o.window_frames, rng, first, altered)
+        if altered:
+            audio = self._altered(audio, rng)
+            if o.amplitude_low < o.amplitude_high:
+                amplitude = np.float32(rng.uniform(o.amplitude_low, o.amplitude_high))
+                codes = self.rest + amplitude * (codes - self.rest)
         return {"audio": audio, "motion": codes}
-
-    def stack(self, items: list[dict[str, Any]]) -> dict[str, torch.Tensor]:
-        """Windows padded to the longest: ``audio`` (B, T, C), ``codes`` (B, T, Z), ``valid`` (B, T)."""
-        longest = max(len(item["motion"]) for item in items)
-        audio = torch.zeros(len(items), longest, items[0]["audio"].shape[1])
-        codes = torch.zeros(len(items), longest, len(self.rest))
-        valid = torch.zeros(len(items), longest, dtype=torch.bool)
-        for row, item in enumerate(items):
-            frames = len(item["motion"])
-            audio[row, :frames] = torch.from_numpy(item["audio"])
-            codes[row, :frames] = torch.from_numpy(item["motion"])
-            valid[row, :frames] = True
-        return {"audio": audio, "codes": codes, "valid": valid}

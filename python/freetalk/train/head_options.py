@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from freetalk.train.task_options import require
+from freetalk.train.task_options import require, require_positive, require_shares
 
 
 @dataclass
@@ -72,20 +72,16 @@ class HeadTaskOptions:
 
     def check(self) -> None:
         """Raises ValueError where a value is out of range."""
-        for name in (
+        require_shares(
+            self,
             "mixtures",
             "canonical_share",
             "identity_share",
             "deformation_share",
             "gradient_share",
-        ):
-            require(
-                0 <= getattr(self, name) <= 1, f"task.{name} must be in [0, 1]", getattr(self, name)
-            )
-        for name in ("points", "pool_points", "bank", "reuse"):
-            require(getattr(self, name) > 0, f"task.{name} must be positive", getattr(self, name))
-        for name in ("near_spread_m", "pair_spread_m", "normal_step_m", "clamp_m"):
-            require(getattr(self, name) > 0, f"task.{name} must be positive", getattr(self, name))
+        )
+        require_positive(self, "points", "pool_points", "bank", "reuse")
+        require_positive(self, "near_spread_m", "pair_spread_m", "normal_step_m", "clamp_m")
         require(
             self.identity_share + self.deformation_share <= 1,
             "task.identity_share and task.deformation_share must be at most 1 together",

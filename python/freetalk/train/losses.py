@@ -18,7 +18,8 @@ MILLIMETRES = 1000.0
 _CLOSED_SHARE = 0.15  # of the usual opening
 _CLOSED_ENOUGH = 0.6  # of the opening that counts as closed
 _CLOSURE_FRAMES = 4  # around a closure in which the lips are open
-_LEAST_OPENING = 1e-4  # m, of motion that hardly speaks
+#: Usual opening of motion that hardly speaks, m.
+LEAST_OPENING = 1e-4
 
 
 def motion_loss(
@@ -42,7 +43,7 @@ def motion_loss(
         lambda_velocity: weight of the first differences.
         lambda_acceleration: weight of the second differences.
         point_weights: (K,) weight of each point, mean 1; ``None`` weighs all alike (the paper).
-        counts: (3,) what the three sums over frames are divided by, in place of the frames of
+        counts: (3 or more,) what the three sums over frames are divided by, in place of the frames of
             ``motion_counts(valid)``: their mean over the shards of a step makes the mean of the
             shards' losses the loss of all frames.
 
@@ -56,7 +57,7 @@ def motion_loss(
     acceleration = velocity[..., 1:, :, :] - velocity[..., :-1, :, :]
     if counts is None:
         counts = motion_counts(valid)
-    frames, pairs, triples = counts.clamp_min(1).unbind()
+    frames, pairs, triples = counts[:3].clamp_min(1).unbind()
     both, three = _consecutive(valid)
     terms = {
         "position": _squared_norms(error, valid, point_weights) / frames,
@@ -113,7 +114,7 @@ def closure_error(
     Returns:
         Scalar, relative to the square of the usual opening.
     """
-    usual = max(usual, _LEAST_OPENING)
+    usual = max(usual, LEAST_OPENING)
     counted = closures(wanted, valid, usual)
     excess = (opening - _CLOSED_ENOUGH * _CLOSED_SHARE * usual).clamp_min(0)
     frames = counted.sum() if count is None else count
@@ -126,7 +127,7 @@ def closures(wanted: Tensor, valid: Tensor, usual: float) -> Tensor:
     Their opening is at most 15 % of the usual and rises above twice that within four frames, so that long pauses do
     not count. Arguments as for :func:`closure_error`.
     """
-    closed = _CLOSED_SHARE * max(usual, _LEAST_OPENING)
+    closed = _CLOSED_SHARE * max(usual, LEAST_OPENING)
     reach = 2 * _CLOSURE_FRAMES + 1
     rows = (wanted * valid).reshape(-1, 1, wanted.shape[-1])
     nearby = torch.nn.functional.max_pool1d(rows, reach, stride=1, padding=_CLOSURE_FRAMES)

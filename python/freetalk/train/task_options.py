@@ -10,21 +10,35 @@ def require(condition: bool, message: str, found: object) -> None:
         raise ValueError(f"{message}, got {found}")
 
 
+def require_shares(options: object, *names: str) -> None:
+    for name in names:
+        value = getattr(options, name)
+        require(0 <= value <= 1, f"task.{name} must be in [0, 1]", value)
+
+
+def require_positive(options: object, *names: str) -> None:
+    for name in names:
+        value = getattr(options, name)
+        require(value > 0, f"task.{name} must be positive", value)
+
+
+def require_known(options: object, name: str, *known: str) -> None:
+    value = getattr(options, name)
+    require(value in known, f"task.{name} must be one of {', '.join(known)}", value)
+
+
 @dataclass
-class AtsTaskOptions:
-    """Data and losses of the audio-to-landmarks stage.
+class DenoisingTaskOptions:
+    """Data and losses that the trainings of speech's denoisers share; what 0 disables, the papers lack.
 
     Attributes:
         init: weights to start from: their folder, a training's output folder, or the name of
-            installed ones (``open-small``), whose motion statistics stay; empty starts from random
-            ones.
+            installed ones (``open-small``), whose statistics stay; empty starts from random ones.
         speech_encoder: folder of the speech encoder, or the name of installed weights
             (``open-small``); empty takes ``OUT/speech``, else the one beside the weights of `init`.
         feature_cache: folder of the computed speech features; empty takes ``OUT/cache``.
         feature_augmentations: extra copies of the features from changed audio (noise, room,
             band limits, speed).
-        voices: further copies by source, in other voices: pitch, formants and tempo changed, the motion
-            at that tempo; so that a model that learns from few talkers follows others.
         feature_noise: noise added to the features of each frame, relative to their standard
             deviation.
         feature_shift: noise that is the same in all frames of a window, likewise: what a speaker
@@ -32,33 +46,17 @@ class AtsTaskOptions:
         feature_dropout: share of the features, each channel and frame for itself, that are replaced
             by their mean over the corpus.
         step_power: diffusion steps t of N are drawn with a density of t^(step_power - 1): more than 1
-            dwells on noisy motion, where the sound alone must tell the answer; 1 is the paper.
-        rehearsal: share of the windows in which the noisy mouth, nose and jaw are made of the model's
-            own first estimate, as in sampling, instead of the true motion [as DREAM, Zhou et al.
-            2024]: sampling then does not enlarge what the first estimate got wrong. Brows and eyes
-            stay true, so that they go on varying; 0 is the paper.
-        audio_dropout: share of the windows that hear nothing, for guidance; 0 is the paper.
-        affect_dropout: share of the windows without emotion and intensity, for guidance; 0 is the
-            paper.
-        mosaic: share of the windows joined from pieces of several takes of one emotion, so that
-            each is judged by its own sound; 0 is the paper.
-        blend: share of the windows that are convex combinations of two, in features, motion, emotion
-            and intensity [mixup, Zhang et al. 2018]: between what was heard the answer is
-            linear, which carries over better to other ways of speaking; 0 is the paper.
-        position_offsets: windows shorter than ``model.max_frames`` begin at random learned positions,
-            so that all of them are trained.
+            dwells on noisy motion, where the sound alone must tell the answer; 1 is the papers.
+        audio_dropout: share of the windows that hear nothing, for guidance.
+        blend: share of the windows that are convex combinations of two, in all that they hold [mixup,
+            Zhang et al. 2018]: between what was heard the answer is linear, which carries over better
+            to other ways of speaking.
         source_weights: share of each source in the batches; others are left out, and so are names
             that the data lacks. Empty takes all in proportion to their length.
-        lambda_velocity: weight of Eq. 15's velocity term.
-        lambda_acceleration: weight of Eq. 15's acceleration term.
-        loss_units: ``millimetres`` (the paper's loss of positions) or ``normalised`` (each coordinate by
-            its spread).
-        lip_weight: weight of the 20 lip landmarks; 1 weighs all alike (the paper).
-        eye_weight: weight of the 12 landmarks of the eyelids, so that blinks are learnt, which are
-            rare; 1 weighs all alike (the paper).
-        opening_weight: weight of an extra term on the inner-lip gaps, 0 disables (the paper).
+        lambda_velocity: weight of the error of the first differences.
+        opening_weight: weight of an extra term on the inner-lip gaps.
         closure_weight: weight of an extra term on lips that should be closed for a moment, as in
-            p, b and m; 0 disables (the paper).
+            p, b and m.
         validation_windows: windows of the validation split that are scored.
         validation_samples: clips of it, of at most 300 frames, that are also sampled from noise, for LVE, MVE and the opening's
             correlation of what a user gets (``loop.select=sampled_lve_mm2`` chooses by them); 0 for none.
@@ -68,23 +66,14 @@ class AtsTaskOptions:
     speech_encoder: str = ""
     feature_cache: str = ""
     feature_augmentations: int = 0
-    voices: dict[str, int] = field(default_factory=dict)
     feature_noise: float = 0.0
     feature_shift: float = 0.0
     feature_dropout: float = 0.0
     step_power: float = 1.0
-    rehearsal: float = 0.0
     audio_dropout: float = 0.0
-    affect_dropout: float = 0.0
-    mosaic: float = 0.0
     blend: float = 0.0
-    position_offsets: bool = True
     source_weights: dict[str, float] = field(default_factory=dict)
-    lambda_velocity: float = 0.3
-    lambda_acceleration: float = 0.1
-    loss_units: str = "millimetres"
-    lip_weight: float = 1.0
-    eye_weight: float = 1.0
+    lambda_velocity: float = 0.0
     opening_weight: float = 0.0
     closure_weight: float = 0.0
     validation_windows: int = 32
@@ -97,17 +86,90 @@ class AtsTaskOptions:
             "task.feature_dropout must be in [0, 1)",
             self.feature_dropout,
         )
-        require(self.step_power > 0, "task.step_power must be positive", self.step_power)
-        require(0 <= self.rehearsal <= 1, "task.rehearsal must be in [0, 1]", self.rehearsal)
-        require(0 <= self.mosaic <= 1, "task.mosaic must be in [0, 1]", self.mosaic)
-        require(0 <= self.blend <= 1, "task.blend must be in [0, 1]", self.blend)
+        require_positive(self, "step_power")
+        require_shares(self, "blend", "audio_dropout")
+
+
+@dataclass
+class AtsTaskOptions(DenoisingTaskOptions):
+    """Data and losses of the audio-to-landmarks stage.
+
+    Attributes:
+        voices: further copies by source, in other voices: pitch, formants and tempo changed, the motion
+            at that tempo; so that a model that learns from few talkers follows others.
+        rehearsal: share of the windows in which the noisy mouth, nose and jaw are made of the model's
+            own first estimate, as in sampling, instead of the true motion [as DREAM, Zhou et al.
+            2024]: sampling then does not enlarge what the first estimate got wrong. Brows and eyes
+            stay true, so that they go on varying; 0 is the paper.
+        affect_dropout: share of the windows without emotion and intensity, for guidance; 0 is the
+            paper.
+        mosaic: share of the windows joined from pieces of several takes of one emotion, so that
+            each is judged by its own sound; 0 is the paper.
+        position_offsets: windows shorter than ``model.max_frames`` begin at random learned positions,
+            so that all of them are trained.
+        lambda_velocity: of Eq. 15.
+        lambda_acceleration: weight of Eq. 15's acceleration term.
+        loss_units: ``millimetres`` (the paper's loss of positions) or ``normalised`` (each coordinate by
+            its spread).
+        lip_weight: weight of the 20 lip landmarks; 1 weighs all alike (the paper).
+        eye_weight: weight of the 12 landmarks of the eyelids, so that blinks are learnt, which are
+            rare; 1 weighs all alike (the paper).
+    """
+
+    voices: dict[str, int] = field(default_factory=dict)
+    rehearsal: float = 0.0
+    affect_dropout: float = 0.0
+    mosaic: float = 0.0
+    position_offsets: bool = True
+    lambda_velocity: float = 0.3
+    lambda_acceleration: float = 0.1
+    loss_units: str = "millimetres"
+    lip_weight: float = 1.0
+    eye_weight: float = 1.0
+
+    def check(self) -> None:
+        super().check()
+        require_shares(self, "rehearsal", "mosaic", "affect_dropout")
+        require_known(self, "loss_units", "millimetres", "normalised")
+        require_positive(self, "lip_weight", "eye_weight")
+
+
+@dataclass
+class FaceTalkTaskOptions(DenoisingTaskOptions):
+    """Data and losses of the speech-to-codes stage [FaceTalk, Aneja et al. 2024].
+
+    The terms on the lips are of the landmarks that a linear map makes of the codes.
+
+    Attributes:
+        targets: ``weights`` of the corpus's expressions, or fitted codes of a parametric ``head``
+            (``freetalk corpus codes``).
+        window_frames: of a window; 48 are the paper's two seconds.
+        amplitude_low: r of Eq. 8, by which codes are scaled about the face at rest, is drawn from
+            U(amplitude_low, amplitude_high) for each window; 1 and 1 disable it.
+        amplitude_high: see `amplitude_low`; the paper does not say the bounds.
+        audio_dropout: 0.25 is the paper.
+        loss_units: ``codes`` (the paper's Eq. 4) or ``normalised`` (each code by its spread).
+    """
+
+    targets: str = "weights"
+    window_frames: int = 48
+    amplitude_low: float = 1.0
+    amplitude_high: float = 1.0
+    audio_dropout: float = 0.25
+    loss_units: str = "normalised"
+
+    def check(self) -> None:
+        super().check()
+        require_known(self, "targets", "weights", "head")
+        require_known(self, "loss_units", "codes", "normalised")
         require(
-            self.loss_units in ("millimetres", "normalised"),
-            "task.loss_units must be millimetres or normalised",
-            self.loss_units,
+            self.window_frames >= 2, "task.window_frames must be at least 2", self.window_frames
         )
-        require(self.lip_weight > 0, "task.lip_weight must be positive", self.lip_weight)
-        require(self.eye_weight > 0, "task.eye_weight must be positive", self.eye_weight)
+        require(
+            0 < self.amplitude_low <= self.amplitude_high,
+            "task.amplitude_low must be positive and at most amplitude_high",
+            f"{self.amplitude_low} and {self.amplitude_high}",
+        )
 
 
 @dataclass
@@ -175,16 +237,14 @@ class StmTaskOptions:
         """Raises ValueError where a value is out of range."""
         require(self.frames >= 3, "task.frames must be at least 3", self.frames)
         require(0 <= self.scale_range < 1, "task.scale_range must be in [0, 1)", self.scale_range)
-        require(0 <= self.crops <= 1, "task.crops must be in [0, 1]", self.crops)
+        require_shares(self, "crops", "bends", "sculpts")
         require(
             0 <= self.missing_faces < 1,
             "task.missing_faces must be in [0, 1)",
             self.missing_faces,
         )
-        require(0 <= self.bends <= 1, "task.bends must be in [0, 1]", self.bends)
-        require(0 <= self.sculpts <= 1, "task.sculpts must be in [0, 1]", self.sculpts)
         require(self.plain_weight >= 0, "task.plain_weight must not be negative", self.plain_weight)
-        require(self.lip_weight > 0, "task.lip_weight must be positive", self.lip_weight)
+        require_positive(self, "lip_weight")
 
 
 @dataclass
@@ -233,93 +293,4 @@ class SpeechTaskOptions:
         """Raises ValueError where a value is out of range."""
         require(self.crop_s >= 1.0, "task.crop_s must be at least 1", self.crop_s)
         require(self.pieces >= 1, "task.pieces must be at least 1", self.pieces)
-        require(0 <= self.augment <= 1, "task.augment must be in [0, 1]", self.augment)
-
-
-@dataclass
-class FaceTalkTaskOptions:
-    """Data and losses of the speech-to-codes stage [FaceTalk, Aneja et al. 2024].
-
-    Attributes:
-        targets: ``weights`` of the corpus's expressions, or fitted codes of a parametric ``head``
-            (``freetalk corpus codes``).
-        init: weights to start from: their folder, or a training's output folder, whose statistics of
-            the codes stay; empty starts from random ones.
-        speech_encoder: folder of the speech encoder, or the name of installed weights
-            (``open-small``); empty takes ``OUT/speech``, else the one beside the weights of `init`.
-        feature_cache: folder of the computed speech features; empty takes ``OUT/cache``.
-        feature_augmentations: extra copies of the features from changed audio (noise, room, band
-            limits, speed).
-        feature_noise: noise added to the features of each frame, relative to their standard
-            deviation; 0 is the paper.
-        feature_shift: the same noise in all frames of a window, likewise; 0 is the paper.
-        feature_dropout: share of the features that are replaced by their mean over the corpus; 0 is
-            the paper.
-        window_frames: of a window; 48 are the paper's two seconds.
-        amplitude_low: r of Eq. 8, by which codes are scaled about the face at rest, is drawn from
-            U(amplitude_low, amplitude_high) for each window; 1 and 1 disable it.
-        amplitude_high: see `amplitude_low`; the paper does not say the bounds.
-        blend: share of the windows that are convex combinations of two, in features and codes [mixup,
-            Zhang et al. 2018]; 0 is the paper.
-        audio_dropout: share of the windows that hear nothing, for guidance; 0.25 is the paper.
-        step_power: diffusion steps t of N are drawn with a density of t^(step_power - 1); 1 is the paper.
-        source_weights: share of each source in the batches; others are left out, and so are names
-            that the data lacks. Empty takes all in proportion to their length.
-        loss_units: ``codes`` (the paper's Eq. 4) or ``normalised`` (each code by its spread).
-        lambda_velocity: weight of the error of the codes' first differences; 0 is the paper.
-        opening_weight: weight of the squared error of the inner lips' gaps, relative to the usual
-            opening, through a linear map from codes to landmarks; 0 disables (the paper).
-        closure_weight: weight of a term on lips that should be closed for a moment, as in p, b and m,
-            through the same map; 0 disables (the paper).
-        validation_windows: windows of the validation split that are scored.
-        validation_samples: clips of it, of at most 300 frames, that are also sampled from noise, for
-            LVE, MVE and the opening's correlation of what a user gets; 0 for none.
-    """
-
-    targets: str = "weights"
-    init: str = ""
-    speech_encoder: str = ""
-    feature_cache: str = ""
-    feature_augmentations: int = 0
-    feature_noise: float = 0.0
-    feature_shift: float = 0.0
-    feature_dropout: float = 0.0
-    window_frames: int = 48
-    amplitude_low: float = 1.0
-    amplitude_high: float = 1.0
-    blend: float = 0.0
-    audio_dropout: float = 0.25
-    step_power: float = 1.0
-    source_weights: dict[str, float] = field(default_factory=dict)
-    loss_units: str = "normalised"
-    lambda_velocity: float = 0.0
-    opening_weight: float = 0.0
-    closure_weight: float = 0.0
-    validation_windows: int = 32
-    validation_samples: int = 4
-
-    def check(self) -> None:
-        """Raises ValueError where a value is out of range."""
-        choices = {
-            "targets": (self.targets, ("weights", "head")),
-            "loss_units": (self.loss_units, ("codes", "normalised")),
-        }
-        for name, (value, known) in choices.items():
-            require(value in known, f"task.{name} must be one of {', '.join(known)}", value)
-        require(
-            self.window_frames >= 2, "task.window_frames must be at least 2", self.window_frames
-        )
-        require(
-            0 < self.amplitude_low <= self.amplitude_high,
-            "task.amplitude_low must be positive and at most amplitude_high",
-            f"{self.amplitude_low} and {self.amplitude_high}",
-        )
-        require(
-            0 <= self.feature_dropout < 1,
-            "task.feature_dropout must be in [0, 1)",
-            self.feature_dropout,
-        )
-        for name in ("blend", "audio_dropout"):
-            value = getattr(self, name)
-            require(0 <= value <= 1, f"task.{name} must be in [0, 1]", value)
-        require(self.step_power > 0, "task.step_power must be positive", self.step_power)
+        require_shares(self, "augment")
