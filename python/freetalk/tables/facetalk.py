@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from freetalk.tables import definitions
 from freetalk.tables.claims import Claim
@@ -33,16 +33,7 @@ _CONDITIONS = ("input", "scale_shift", "squeeze_excite", "dot_product", "film")
 
 def facetalk_2(recipes: Recipes, settings: Sequence[str] = ()) -> Table:
     """What the parts of the denoiser are for [FaceTalk, Table 2]; facial smoothing is no part of it."""
-    rows = tuple(
-        Row(
-            name,
-            None,
-            None,
-            {"all": {DIVERSITY: FACETALK_2[name][1]}},
-            recipes.facetalk(NEUTRAL, *overrides),
-        )
-        for name, overrides in _VARIANTS.items()
-    )
+    rows = _rows(recipes, FACETALK_2, _VARIANTS)
     others = [name for name in _VARIANTS if name != FULL]
     claims = [
         Claim(
@@ -93,16 +84,9 @@ def facetalk_3(recipes: Recipes, settings: Sequence[str] = ()) -> Table:
 
 def facetalk_5(recipes: Recipes, settings: Sequence[str] = ()) -> Table:
     """How the diffusion step is told to the denoiser [FaceTalk, Table 5]."""
-    rows = tuple(
-        Row(
-            name,
-            None,
-            None,
-            {"all": {DIVERSITY: FACETALK_5[name][1]}},
-            recipes.facetalk(NEUTRAL, *_told(name)),
-        )
-        for name in _CONDITIONS
-    )
+    # Named so that rows of Table 2 are shared.
+    told = {n: () if n == "film" else (f"model.time_condition={n}",) for n in _CONDITIONS}
+    rows = _rows(recipes, FACETALK_5, told)
     others = [name for name in _CONDITIONS if name != "film"]
     claims = [
         Claim(
@@ -118,9 +102,22 @@ def facetalk_5(recipes: Recipes, settings: Sequence[str] = ()) -> Table:
     return _table("facetalk_5", title, rows, claims, recipes)
 
 
-def _told(condition: str) -> tuple[str, ...]:
-    """Overrides of a row of Table 5, named so that rows of Table 2 are shared."""
-    return () if condition == "film" else (f"model.time_condition={condition}",)
+def _rows(
+    recipes: Recipes,
+    printed: dict[str, tuple[float, float]],
+    overrides: Mapping[str, tuple[str, ...]],
+) -> tuple[Row, ...]:
+    """A row a variant, with the printed diversity."""
+    return tuple(
+        Row(
+            name,
+            None,
+            None,
+            {"all": {DIVERSITY: printed[name][1]}},
+            recipes.facetalk(NEUTRAL, *own),
+        )
+        for name, own in overrides.items()
+    )
 
 
 def _varies_less(

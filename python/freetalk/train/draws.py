@@ -44,7 +44,7 @@ class Draws:
     def __init__(
         self, task: DrawsItems, engine: Engine, seed: int, workers: int = 0, step: int = 0
     ) -> None:
-        self._task, self._engine, self._seed, self._next = task, engine, seed, step
+        self._task, self._engine, self._seed = task, engine, seed
         self._items = _Items(task, seed, engine.batch_size)
         loader: DataLoader[Any] = DataLoader(
             self._items,
