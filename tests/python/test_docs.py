@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import re
 import shlex
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +57,21 @@ def test_the_python_reference_names_modules_that_exist() -> None:
             for end in (".py", "/__init__.py")
         ]
         assert any(place.is_file() for place in places), name
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("doxygen") is None, reason="the reference needs Doxygen")
+def test_the_pages_build(tmp_path: Path) -> None:
+    pytest.importorskip("mkdocs", reason="the pages need freetalk[docs]")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
+    found = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert found.returncode == 0, found.stderr
+    broken = [line for line in found.stderr.splitlines() if "Doc file '" in line]
+    assert [line for line in broken if "api/cpp" not in line and "'../results/" not in line] == []
+    reference = (tmp_path / "api/python/index.html").read_text()
+    assert ":meth:" not in reference and ":class:" not in reference
+    for name in ("talker.Talker", "facetalk.FaceTalk", "head.ParametricHead", "metrics"):
+        assert f'id="freetalk.{name}"' in reference
 
 
 @pytest.mark.slow
