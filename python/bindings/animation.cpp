@@ -1,6 +1,7 @@
 #include "freetalk/animation/animation.h"
 
 #include <pybind11/eigen.h>
+#include <pybind11/functional.h>
 #include <pybind11/stl/filesystem.h>
 #include <torch/extension.h>
 
@@ -21,11 +22,18 @@ animation::Animation make_animation(const freetalk::mesh::Mesh& mesh,
                                     const std::optional<freetalk::audio::Audio>& audio,
                                     const std::string& metadata_json, double metres_per_unit,
                                     const Eigen::Matrix3d& to_y_up,
-                                    const std::optional<at::Tensor>& head) {
-  animation::Animation result{mesh,          displacements.to(at::kCPU, at::kFloat).contiguous(),
-                              fps,           audio.value_or(freetalk::audio::Audio{}),
-                              metadata_json, {metres_per_unit, to_y_up}};
+                                    const std::optional<at::Tensor>& head,
+                                    const std::optional<at::Tensor>& landmarks) {
+  animation::Animation result{mesh,
+                              displacements.to(at::kCPU, at::kFloat).contiguous(),
+                              fps,
+                              audio.value_or(freetalk::audio::Audio{}),
+                              metadata_json,
+                              {metres_per_unit, to_y_up},
+                              {},
+                              {}};
   if (head) result.head = head->to(at::kCPU, at::kDouble).contiguous();
+  if (landmarks) result.landmarks = landmarks->to(at::kCPU, at::kFloat).contiguous();
   result.check();
   return result;
 }
@@ -39,10 +47,20 @@ void bind_animation_type(py::module_& m) {
   py::class_<animation::SaveReport>(m, "SaveReport", "What was written.")
       .def(py::init([](const std::string& format) { return animation::SaveReport{format}; }),
            py::arg("format"))
-      .def_readonly("format", &animation::SaveReport::format)
-      .def_readonly("num_files", &animation::SaveReport::num_files)
+      .def_readwrite("format", &animation::SaveReport::format)
+      .def_readwrite("num_files", &animation::SaveReport::num_files)
       .def_readonly("num_morph_targets", &animation::SaveReport::num_morph_targets)
-      .def_readonly("morph_error_mm", &animation::SaveReport::morph_error_mm);
+      .def_readonly("morph_error_mm", &animation::SaveReport::morph_error_mm)
+      .def_readonly("into_source", &animation::SaveReport::into_source);
+  py::class_<animation::BlendShapes>(m, "BlendShapes", "Named targets and their weights over time.")
+      .def(py::init([](std::vector<std::string> names, const at::Tensor& targets,
+                       const at::Tensor& weights) {
+             return animation::BlendShapes{std::move(names), targets, weights};
+           }),
+           py::arg("names"), py::arg("targets"), py::arg("weights"))
+      .def_readonly("names", &animation::BlendShapes::names)
+      .def_readonly("targets", &animation::BlendShapes::targets, "(K, V, 3) float32, mesh's unit.")
+      .def_readonly("weights", &animation::BlendShapes::weights, "(T, K) float32 in [0, 1].");
   freetalk::bindings::bind_options<animation::SaveOptions>(m, "SaveOptions",
                                                            "How an animation is written.");
   py::class_<Animation>(m, "Animation", "A mesh, its displacements over time, and the speech.")
@@ -50,7 +68,7 @@ void bind_animation_type(py::module_& m) {
            py::arg("fps") = 30.0, py::arg("audio") = py::none(), py::arg("metadata_json") = "{}",
            py::arg("metres_per_unit") = 1.0,
            py::arg("to_y_up") = Eigen::Matrix3d(Eigen::Matrix3d::Identity()),
-           py::arg("head") = py::none(), NoGil())
+           py::arg("head") = py::none(), py::arg("landmarks") = py::none(), NoGil())
       .def_readonly("mesh", &Animation::mesh)
       .def_readonly("displacements", &Animation::displacements, "(T, V, 3) float32.")
       .def_property_readonly(
@@ -62,13 +80,25 @@ void bind_animation_type(py::module_& m) {
       .def_readonly("fps", &Animation::fps)
       .def_readonly("audio", &Animation::audio)
       .def_readonly("frame", &Animation::frame)
+      .def_property_readonly(
+          "landmarks",
+          [](const Animation& self) {
+            return self.landmarks.defined() ? std::optional(self.landmarks) : std::nullopt;
+          },
+          "(T, 68, 3) float32, metres, canonical frame; None where not known.")
       .def_readwrite("metadata_json", &Animation::metadata_json)
       .def_property_readonly("num_frames", &Animation::num_frames)
       .def_property_readonly("duration_s", &Animation::duration_s)
       .def("vertices_at", &Animation::vertices_at, py::arg("frame_index"), NoGil())
       .def("save", &Animation::save, py::arg("path"), py::arg("options") = animation::SaveOptions{},
-           NoGil());
+           py::arg("shapes") = animation::BlendShapes{},
+           py::arg("progress") = animation::SaveProgress{}, NoGil());
   m.def("load_npz", &animation::load_npz, py::arg("path"), NoGil());
+  m.def("load_gltf", &animation::load_gltf, py::arg("path"), py::arg("fps") = 0.0, NoGil());
+  m.def("load_pc2", &animation::load_pc2, py::arg("path"), py::arg("mesh"), py::arg("fps") = 30.0,
+        NoGil());
+  m.def("load_sequence", &animation::load_sequence, py::arg("folder"), py::arg("fps") = 30.0,
+        NoGil());
 }
 
 void bind_parts(py::module_& m) {

@@ -41,6 +41,8 @@ void bind_mesh_class(py::module_& m) {
       .def_readonly("face_polygon", &mesh::Mesh::face_polygon,
                     "(F,) the polygon each triangle was cut from.")
       .def_readwrite("name", &mesh::Mesh::name, "The file's name, for messages.")
+      .def_readwrite("source", &mesh::Mesh::source,
+                     "The file it was read from, whose materials writers keep; empty without.")
       .def("__repr__", [](const mesh::Mesh& mesh) {
         return "Mesh(name='" + mesh.name + "', vertices=" + std::to_string(mesh.num_vertices()) +
                ", polygons=" + std::to_string(mesh.num_polygons()) +

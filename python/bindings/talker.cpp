@@ -84,6 +84,8 @@ void bind_face(py::module_& m) {
           py::arg("audio"), py::kw_only(), py::arg("seeds"), py::arg("options") = AnimateOptions{},
           py::arg("progress") = Progress{}, py::arg("out") = py::none(), NoGil())
       .def_static("num_frames", &Face::num_frames, py::arg("audio"), py::arg("fps"))
+      .def("blend_shapes", &Face::blend_shapes, py::arg("animation"),
+           py::arg("progress") = Progress{}, NoGil())
       .def("rig", &Face::rig, py::arg("progress") = Progress{},
            py::return_value_policy::reference_internal, NoGil())
       .def_property_readonly("mesh", &Face::mesh)

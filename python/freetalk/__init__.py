@@ -49,7 +49,7 @@ if TYPE_CHECKING:
         speech,
         stm,
     )
-    from freetalk.animation import Animation
+    from freetalk.animation import Animation, load_animation
     from freetalk.audio import Audio, load_audio
     from freetalk.mesh import Mesh, load_mesh
     from freetalk.talker import Face, Talker
@@ -60,6 +60,7 @@ _LAZY = {
     "Face": "talker",
     "Mesh": "mesh",
     "Talker": "talker",
+    "load_animation": "animation",
     "load_audio": "audio",
     "load_mesh": "mesh",
 }
@@ -71,6 +72,7 @@ _ROOMS = (
     "data",
     "diffusion",
     "evaluate",
+    "exports",
     "facetalk",
     "geometry",
     "head",
@@ -98,6 +100,7 @@ __all__ = [
     "facetalk",
     "geometry",
     "head",
+    "load_animation",
     "load_audio",
     "load_mesh",
     "mesh",

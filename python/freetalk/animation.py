@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,9 @@ from freetalk.mesh import Mesh
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+    from freetalk.talker.face import Face
+
+BlendShapes = _native.animation.BlendShapes
 MeshFrame = _native.animation.MeshFrame
 SaveOptions = _native.animation.SaveOptions
 SaveReport = _native.animation.SaveReport
@@ -25,11 +29,13 @@ Parts = _native.animation.Parts
 
 __all__ = [
     "Animation",
+    "BlendShapes",
     "MeshFrame",
     "PartMotion",
     "Parts",
     "SaveOptions",
     "SaveReport",
+    "load_animation",
     "morph_basis",
     "resample_motion",
 ]
@@ -47,6 +53,7 @@ class Animation:
         metres_per_unit: the mesh's unit.
         to_y_up: (3, 3) rotation of the mesh's axes to +Y up, +Z out of the face.
         head: (T, 4, 4) rigid motion of the head, in the mesh's own unit and axes, if it moves.
+        landmarks: (T, 68, 3) displacements in metres, canonical frame, of which the motion was made.
 
     Raises:
         ValueError: shapes do not fit, fps is not positive.
@@ -63,6 +70,7 @@ class Animation:
         metres_per_unit: float = 1.0,
         to_y_up: ArrayLike | None = None,
         head: ArrayLike | torch.Tensor | None = None,
+        landmarks: torch.Tensor | None = None,
     ) -> None:
         motion = torch.as_tensor(displacements).detach()
         self._native = _native.animation.Animation(
@@ -74,12 +82,15 @@ class Animation:
             metres_per_unit=metres_per_unit,
             to_y_up=np.eye(3) if to_y_up is None else np.asarray(to_y_up, dtype=np.float64),
             head=None if head is None else torch.as_tensor(head).detach(),
+            landmarks=landmarks,
         )
+        self._face: Face | None = None
 
     @classmethod
     def _wrap(cls, native: Any) -> Animation:
         animation = cls.__new__(cls)
         animation._native = native
+        animation._face = None
         return animation
 
     @property
@@ -123,6 +134,12 @@ class Animation:
         return self._native.frame
 
     @property
+    def landmarks(self) -> torch.Tensor | None:
+        """(T, 68, 3) displacements in metres, canonical frame, of which the motion was made; None where not known."""
+        landmarks: torch.Tensor | None = self._native.landmarks
+        return landmarks
+
+    @property
     def metadata(self) -> dict[str, Any]:
         """What the maker of the animation says: options, alignment, notices."""
         metadata: dict[str, Any] = json.loads(self._native.metadata_json)
@@ -142,45 +159,152 @@ class Animation:
         """(V, 3) vertex positions of a frame, the head's motion included."""
         return self._native.vertices_at(frame_index)
 
-    def save(self, path: str | os.PathLike[str], **options: Any) -> SaveReport:
-        """Writes the animation by the extension of ``path``, atomically.
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        rig: str | BlendShapes = "pca",
+        progress: Callable[[float], None] | None = None,
+        **options: Any,
+    ) -> SaveReport:
+        """Writes the animation by the extension of ``path``, in any case, atomically.
 
-        ``.npz`` holds everything (``numpy.load`` reads it), ``.glb`` and ``.gltf`` hold morph targets with an
-        animation of their weights, ``folder/*.obj`` and ``folder/*.ply`` one numbered mesh per frame, ``.mp4`` a
-        rendered video with sound (``.webm`` likewise), ``.html`` a page that plays it in any browser, without a network.
+        ``.npz`` holds everything (``numpy.load`` reads it); ``.glb``, ``.gltf`` and ``.usda`` morph targets and their
+        weights, with the speech beside as ``NAME.speech.wav`` (inside too, of ``.glb``); ``.usdc``, ``.usd`` and
+        ``.usdz`` the same as binary USD (``pip install 'freetalk[usd]'``); ``.pc2`` a cache of every vertex for
+        Blender's Mesh Cache; ``folder/*.obj`` and ``folder/*.ply`` a numbered mesh per frame; ``.mp4`` and ``.webm``
+        a rendered video with sound; ``.html`` a page that plays it in any browser, without a network; ``.csv`` (Live
+        Link Face), ``.json`` (Audio2Face) and ``.arkit.npz`` ARKit's weights.
+
+        Materials, textures, vertex colours and texture coordinates of the mesh's OBJ, PLY or glTF are kept; a glTF of
+        a mesh that was read from glTF is that file with the motion added.
 
         Args:
             path: where to write.
-            options: fields of ``SaveOptions``; for ``.mp4`` those of ``freetalk.viz.save_video``, for ``.html``
+            rig: what the targets of glTF and USD are. ``"pca"``: the fewest for the error; ``"arkit"``: ARKit's 51
+                shapes by name, and what they leave as ``motion_0`` and on; or targets of your own, with weights.
+            progress: called with the finished share in [0, 1]; may raise to stop.
+            options: fields of ``SaveOptions`` (``morph_tolerance_mm=0.1``, ``compact=False`` ...); ``cache=True``
+                for the points of every frame in USD; for video those of ``freetalk.viz.save_video``, for ``.html``
                 those of ``freetalk.page.save_page``.
 
         Returns:
             Format, number of files, number and error of morph targets.
 
         Raises:
-            ValueError: unknown extension or option.
+            ValueError: unknown extension or option, or ``rig="arkit"`` for an animation that no face made.
             RuntimeError: the path cannot be written.
         """
-        if Path(path).suffix.lower() in (".mp4", ".webm"):
+        suffix = Path(path).suffix.lower()
+        if suffix in (".mp4", ".webm"):
             from freetalk.viz import save_video
 
             save_video(self, path, **options)
-            return SaveReport(Path(path).suffix.lower()[1:])
-        if Path(path).suffix.lower() == ".html":
+            return SaveReport(suffix[1:])
+        if suffix == ".html":
             from freetalk.page import save_page
 
             save_page(self, path, **options)
             return SaveReport("html")
-        return self._native.save(path, SaveOptions(**options))
+        if suffix in (".csv", ".json") or Path(path).name.lower().endswith(".arkit.npz"):
+            from freetalk.exports import save_curves
 
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Animation:
-        """Reads an ``.npz`` that ``save`` wrote.
+            save_curves(self, path, **options)
+            return SaveReport(suffix[1:])
+        shapes = self._shapes(rig)
+        if suffix in (".usd", ".usdc", ".usdz") or "cache" in options:
+            from freetalk.exports import save_usd
+
+            return save_usd(self, path, shapes=shapes, **options)
+        return self._save(path, shapes, progress, **options)
+
+    def _save(
+        self,
+        path: str | os.PathLike[str],
+        shapes: BlendShapes | None = None,
+        progress: Callable[[float], None] | None = None,
+        **options: Any,
+    ) -> SaveReport:
+        """The formats of the C++ library."""
+        given = {} if shapes is None else {"shapes": shapes}
+        return self._native.save(path, SaveOptions(**options), **given, progress=progress)
+
+    def _shapes(self, rig: str | BlendShapes) -> BlendShapes | None:
+        if not isinstance(rig, str):
+            return rig
+        if rig == "pca":
+            return None
+        if rig != "arkit":
+            raise ValueError(f"rig is '{rig}': use 'pca', 'arkit' or blend shapes")
+        if self._face is None:
+            raise ValueError(
+                "rig='arkit' needs the face that the animation was made on: "
+                "rig=talker.prepare(animation.mesh).blend_shapes(animation)"
+            )
+        return self._face.blend_shapes(self)
+
+    def on(self, mesh: Mesh) -> Animation:
+        """The same motion on a mesh with the same vertices: to give it its file's materials again.
 
         Raises:
+            ValueError: another number of vertices.
+        """
+        return Animation(
+            mesh,
+            self.displacements,
+            fps=self.fps,
+            audio=self.audio,
+            metadata=self.metadata,
+            metres_per_unit=self.frame.metres_per_unit,
+            to_y_up=self.frame.to_y_up,
+            head=self.head,
+            landmarks=self.landmarks,
+        )
+
+    @classmethod
+    def load(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        mesh: Mesh | None = None,
+        fps: float | None = None,
+    ) -> Animation:
+        """Reads what :meth:`save` wrote, and animations of morph targets of other programs.
+
+        Args:
+            path: ``.npz``, ``.glb``, ``.gltf``, USD, ``.pc2``, or a folder of OBJ or PLY files (``"frames/*.obj"`` as
+                well). Only ``.npz`` brings back unit, axes and vertices as they were: glTF and USD are read in metres,
+                +Y up, with a vertex for each texture coordinate in glTF.
+            mesh: whose vertices a ``.pc2`` moves.
+            fps: of a ``.pc2`` or a folder (30 unless told), or to sample a glTF at.
+
+        Raises:
+            ValueError: another extension, or a ``.pc2`` without its mesh.
             RuntimeError: the file is missing, truncated or of another content.
         """
-        return cls._wrap(_native.animation.load_npz(path))
+        file = Path(path)
+        suffix, native = file.suffix.lower(), _native.animation
+        if suffix == ".npz":
+            return cls._wrap(native.load_npz(path))
+        if suffix in (".glb", ".gltf"):
+            return cls._wrap(native.load_gltf(path, fps or 0.0))
+        if suffix in (".usd", ".usda", ".usdc", ".usdz"):
+            from freetalk.exports import load_usd
+
+            return load_usd(path)
+        if suffix == ".pc2":
+            if mesh is None:
+                raise ValueError(
+                    f"'{path}' holds vertices alone: give mesh=, the mesh they belong to"
+                )
+            return cls._wrap(native.load_pc2(path, mesh, fps or 30.0))
+        if file.is_dir() or file.stem == "*":
+            return cls._wrap(
+                native.load_sequence(file if file.is_dir() else file.parent, fps or 30.0)
+            )
+        raise ValueError(
+            f"'{path}' is no animation: give .npz, .glb, .gltf, USD, .pc2 or a folder of OBJ or PLY files"
+        )
 
     def __repr__(self) -> str:
         return (
@@ -196,6 +320,7 @@ class Animation:
             "texcoords": mesh.texcoords,
             "polygon_texcoords": mesh.polygon_texcoords,
             "name": mesh.name,
+            "source": mesh.source,
         }
         fields = {
             "fps": self.fps,
@@ -204,6 +329,7 @@ class Animation:
             "metres_per_unit": self.frame.metres_per_unit,
             "to_y_up": self.frame.to_y_up,
             "head": self.head,
+            "landmarks": self.landmarks,
         }
         return _rebuild, (surface, self.displacements, fields)
 
@@ -211,7 +337,17 @@ class Animation:
 def _rebuild(
     surface: dict[str, Any], displacements: torch.Tensor, fields: dict[str, Any]
 ) -> Animation:
-    return Animation(Mesh(**surface), displacements, **fields)
+    source = surface.pop("source")
+    mesh = Mesh(**surface)
+    mesh.source = source
+    return Animation(mesh, displacements, **fields)
+
+
+def load_animation(
+    path: str | os.PathLike[str], *, mesh: Mesh | None = None, fps: float | None = None
+) -> Animation:
+    """See :meth:`Animation.load`."""
+    return Animation.load(path, mesh=mesh, fps=fps)
 
 
 def resample_motion(
@@ -242,6 +378,6 @@ def morph_basis(
         max_targets: at most so many.
 
     Returns:
-        targets (K, V, 3), weights (T, K) in [-1, 1], and the largest vertex error.
+        targets (K, V, 3), weights (T, K) in [0, 1], and the largest vertex error.
     """
     return _native.animation.morph_basis(displacements, tolerance, max_targets)

@@ -2,28 +2,26 @@
 
 #include <ATen/ATen.h>
 #include <Eigen/Geometry>
-#include <nlohmann/json.hpp>
 
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <map>
 #include <utility>
 #include <vector>
 
 #include "core/file.h"
-#include "freetalk/animation/morph.h"
-#include "freetalk/core/error.h"
-#include "freetalk/geometry/surface.h"
-#include "freetalk/mesh/normals.h"
+#include "freetalk/mesh/appearance.h"
+#include "gltf_file.h"
+#include "gltf_parts.h"
+#include "gltf_tracks.h"
+#include "morph_normals.h"
+#include "sound.h"
 
 namespace freetalk::animation {
 namespace {
 
-using nlohmann::ordered_json;
-
-constexpr int kFloat = 5126, kUnsignedInt = 5125;
-constexpr int kFaceNode = 0, kHeadNode = 1;  // the head moves the face, where it moves
-constexpr int kArrayBuffer = 34962, kElementArrayBuffer = 34963;
+constexpr int64_t kFaceNode = 0, kHeadNode = 1;  // the head moves the face, where it moves
 
 /// The vertices of the file: the mesh's own, then copies for further texture coordinates.
 struct Corners {
@@ -85,50 +83,6 @@ Corners make_corners(const mesh::Mesh& mesh) {
   return corners;
 }
 
-/// Collects buffer views; their bytes stay where they are until written.
-class Buffer {
- public:
-  ordered_json views = ordered_json::array(), accessors = ordered_json::array();
-
-  /// Adds an accessor over `data` (float32 or int32 bits as uint32), contiguous. @return its index.
-  int add(at::Tensor data, const std::string& type, int component, int target, bool bounds) {
-    data = data.contiguous();
-    const int64_t bytes = data.numel() * 4;
-    ordered_json view = {{"buffer", 0}, {"byteOffset", bytes_}, {"byteLength", bytes}};
-    if (target != 0) view["target"] = target;
-    views.push_back(view);
-    ordered_json accessor = {{"bufferView", views.size() - 1},
-                             {"componentType", component},
-                             {"count", type == "SCALAR" ? data.numel() : data.size(0)},
-                             {"type", type}};
-    if (bounds) {
-      const auto flat = data.view({data.size(0), -1});
-      const auto list = [](const at::Tensor& values) {
-        const auto wide = values.to(at::kDouble).contiguous();
-        return std::vector<double>(wide.data_ptr<double>(), wide.data_ptr<double>() + wide.numel());
-      };
-      accessor["min"] = list(std::get<0>(flat.min(0)));
-      accessor["max"] = list(std::get<0>(flat.max(0)));
-    }
-    accessors.push_back(accessor);
-    bytes_ += bytes;
-    blocks_.push_back(std::move(data));
-    return static_cast<int>(accessors.size()) - 1;
-  }
-
-  int64_t bytes() const { return bytes_; }
-
-  void write(std::ostream& out) const {
-    for (const auto& block : blocks_) {
-      out.write(static_cast<const char*>(block.data_ptr()), block.numel() * 4);
-    }
-  }
-
- private:
-  int64_t bytes_ = 0;
-  std::vector<at::Tensor> blocks_;
-};
-
 at::Tensor to_tensor(const Eigen::MatrixXd& matrix) {
   const Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> rows =
       matrix.cast<float>();
@@ -136,166 +90,267 @@ at::Tensor to_tensor(const Eigen::MatrixXd& matrix) {
       .clone();
 }
 
-ordered_json mesh_json(const Animation& animation, const MorphBasis& basis, Buffer& buffer) {
+constexpr double kSteps = 32767.0;
+
+/// Vertices and targets as the file holds them: as they are, or on a grid of 16 bits around the
+/// middle of the mesh.
+struct Grid {
+  Eigen::RowVector3d middle = Eigen::RowVector3d::Zero();
+  double half = 1.0;  // the mesh's own units at the end of the grid
+  bool compact = false;
+
+  at::Tensor pack(const at::Tensor& values) const {
+    if (!compact) return values;
+    return (values * (kSteps / half)).round().clamp(-kSteps, kSteps).to(at::kShort);
+  }
+};
+
+Grid grid_of(const Animation& animation, const BlendShapes& shapes, bool compact) {
+  Grid grid;
+  if (!compact) return grid;
+  const Eigen::MatrixXd& vertices = animation.mesh.vertices;
+  grid.compact = true;
+  grid.middle = 0.5 * (vertices.colwise().minCoeff() + vertices.colwise().maxCoeff());
+  grid.half = (vertices.rowwise() - grid.middle).cwiseAbs().maxCoeff();
+  if (shapes.targets.size(0) > 0) {
+    grid.half = std::max(grid.half, shapes.targets.abs().max().item<double>());
+  }
+  grid.half = std::max(grid.half, 1e-30);
+  return grid;
+}
+
+/// Directions with components in [-1, 1] in 16 bits; others as they are.
+at::Tensor pack_directions(const at::Tensor& values, bool compact, bool& normalized) {
+  normalized = compact && values.abs().max().item<double>() <= 1.0;
+  return normalized ? (values * kSteps).round().to(at::kShort) : values;
+}
+
+/// (V, 4) linear uint16 of sRGB in [0, 1].
+at::Tensor linear_colours(const Eigen::MatrixXd& colours) {
+  Eigen::MatrixXd linear = colours;
+  for (int c = 0; c < 3; ++c) {
+    linear.col(c) = colours.col(c).unaryExpr(
+        [](double v) { return v <= 0.04045 ? v / 12.92 : std::pow((v + 0.055) / 1.055, 2.4); });
+  }
+  return to_tensor(65535.0 * linear).round().to(at::kInt).to(at::kUInt16);
+}
+
+Json attributes_json(const Animation& animation, const mesh::Appearance& look,
+                     const Corners& corners, const at::Tensor& rest_normals, const Grid& grid,
+                     const at::Tensor& source, GltfBuffer& buffer) {
   const auto& mesh = animation.mesh;
-  Corners corners = make_corners(mesh);
-  const auto source = at::tensor(corners.source, at::kInt);
-  const auto per_corner = [&](const at::Tensor& values) { return values.index_select(0, source); };
-  ordered_json attributes;
+  const auto rest = grid.pack(to_tensor(mesh.vertices.rowwise() - grid.middle));
+  Json attributes;
   attributes["POSITION"] =
-      buffer.add(per_corner(to_tensor(mesh.vertices)), "VEC3", kFloat, kArrayBuffer, true);
+      buffer.add(rest.index_select(0, source), {"VEC3", kArrayBuffer, true, grid.compact});
+  bool normalized = false;
+  const auto normals = pack_directions(rest_normals, grid.compact, normalized);
   attributes["NORMAL"] =
-      buffer.add(per_corner(to_tensor(mesh::vertex_normals(mesh.vertices, mesh.faces))), "VEC3",
-                 kFloat, kArrayBuffer, false);
+      buffer.add(normals.index_select(0, source), {"VEC3", kArrayBuffer, false, normalized});
   if (!corners.texcoords.empty()) {
-    attributes["TEXCOORD_0"] = buffer.add(at::tensor(corners.texcoords).view({-1, 2}), "VEC2",
-                                          kFloat, kArrayBuffer, false);
+    attributes["TEXCOORD_0"] =
+        buffer.add(at::tensor(corners.texcoords).view({-1, 2}), {"VEC2", kArrayBuffer});
   }
-  const std::vector<int32_t> triangles(corners.triangles.begin(), corners.triangles.end());
-  const int indices = buffer.add(at::tensor(triangles, at::kInt), "SCALAR", kUnsignedInt,
-                                 kElementArrayBuffer, false);
-  ordered_json primitive = {{"attributes", attributes}, {"indices", indices}, {"material", 0}};
-  ordered_json names = ordered_json::array();
-  for (int64_t k = 0; k < basis.targets.size(0); ++k) {
-    primitive["targets"].push_back({{"POSITION", buffer.add(per_corner(basis.targets[k]), "VEC3",
-                                                            kFloat, kArrayBuffer, true)}});
-    names.push_back("motion_" + std::to_string(k));
+  if (look.colours.rows() > 0) {
+    const auto colours = linear_colours(look.colours);
+    const auto of_corners = colours.view(at::kShort).index_select(0, source).view(at::kUInt16);
+    attributes["COLOR_0"] = buffer.add(of_corners, {"VEC4", kArrayBuffer, false, true});
   }
-  ordered_json result = {{"name", mesh.name.empty() ? "face" : mesh.name},
-                         {"primitives", ordered_json::array({primitive})}};
-  if (!names.empty()) {
-    result["weights"] = std::vector<double>(names.size(), 0.0);
-    result["extras"] = {{"targetNames", names}};
+  return attributes;
+}
+
+Json targets_json(const BlendShapes& shapes, const MorphNormals& normals, const Grid& grid,
+                  const at::Tensor& source, bool with_normals, GltfBuffer& buffer) {
+  Json targets = Json::array();
+  for (int64_t k = 0; k < shapes.targets.size(0); ++k) {
+    Json target;
+    const auto moved = grid.pack(shapes.targets[k]);
+    target["POSITION"] =
+        buffer.add(moved.index_select(0, source), {"VEC3", kArrayBuffer, true, grid.compact});
+    if (with_normals) {
+      bool normalized = false;
+      const auto turned =
+          pack_directions(normals.derivative(shapes.targets[k]), grid.compact, normalized);
+      target["NORMAL"] =
+          buffer.add(turned.index_select(0, source), {"VEC3", kArrayBuffer, false, normalized});
+    }
+    targets.push_back(std::move(target));
+  }
+  return targets;
+}
+
+/// Corners of the triangles of each material, -1 first.
+std::map<int, std::vector<int32_t>> by_material(const mesh::Mesh& mesh,
+                                                const mesh::Appearance& look,
+                                                const Corners& corners) {
+  std::map<int, std::vector<int32_t>> groups;
+  for (int64_t f = 0; f < mesh.num_faces(); ++f) {
+    const int64_t polygon = mesh.polygons.empty() ? f : mesh.face_polygon.at(f);
+    auto& group = groups[look.materials.empty() ? -1 : look.polygon_material.at(polygon)];
+    for (int k = 0; k < 3; ++k) {
+      group.push_back(static_cast<int32_t>(corners.triangles[3 * f + k]));
+    }
+  }
+  return groups;
+}
+
+Json material_json(const mesh::Material& material, int texture) {
+  const auto& c = material.colour;
+  Json pbr = {{"baseColorFactor", {c[0], c[1], c[2], c[3]}},
+              {"metallicFactor", 0.0},
+              {"roughnessFactor", 0.7}};
+  if (texture >= 0) pbr["baseColorTexture"] = {{"index", texture}};
+  Json json = {{"name", material.name}, {"doubleSided", true}, {"pbrMetallicRoughness", pbr}};
+  if (c[3] < 1.0) json["alphaMode"] = "BLEND";
+  return json;
+}
+
+/// Materials and their textures; the last is for polygons that have none.
+void add_materials(Json& root, const mesh::Appearance& look, GltfBuffer& buffer) {
+  root["materials"] = Json::array();
+  std::map<std::string, int> known;  // textures by content
+  for (const auto& material : look.materials) {
+    int texture = -1;
+    if (!material.texture.bytes.empty()) {
+      const auto [found, fresh] =
+          known.try_emplace(material.texture.bytes, static_cast<int>(known.size()));
+      texture = found->second;
+      if (fresh) {
+        root["images"].push_back({{"name", material.texture.name},
+                                  {"bufferView", buffer.add_bytes(material.texture.bytes)},
+                                  {"mimeType", material.texture.media_type}});
+        root["textures"].push_back({{"source", texture}});
+      }
+    }
+    root["materials"].push_back(material_json(material, texture));
+  }
+  mesh::Material skin;
+  skin.name = "skin";
+  if (look.colours.rows() == 0) skin.colour = Eigen::Vector4d(0.80, 0.64, 0.56, 1.0);
+  root["materials"].push_back(material_json(skin, -1));
+}
+
+Json mesh_json(const Animation& animation, const BlendShapes& shapes, const mesh::Appearance& look,
+               const Grid& grid, const SaveOptions& options, GltfBuffer& buffer) {
+  const auto& mesh = animation.mesh;
+  const Corners corners = make_corners(mesh);
+  const auto source = at::tensor(corners.source, at::kInt);
+  const MorphNormals normals(mesh);
+  const Json attributes =
+      attributes_json(animation, look, corners, normals.rest(), grid, source, buffer);
+  const Json targets = targets_json(shapes, normals, grid, source, options.normals, buffer);
+  Json primitives = Json::array();
+  for (const auto& [material, triangles] : by_material(mesh, look, corners)) {
+    const auto indices = at::tensor(triangles, at::kInt).view({-1, 1});
+    const bool small = options.compact && corners.source.size() < 65535;
+    Json primitive = {
+        {"attributes", attributes},
+        {"indices",
+         buffer.add(small ? indices.to(at::kUInt16) : indices, {"SCALAR", kElementArrayBuffer})},
+        {"material", material >= 0 ? material : static_cast<int>(look.materials.size())}};
+    if (!targets.empty()) primitive["targets"] = targets;
+    primitives.push_back(std::move(primitive));
+  }
+  Json result = {{"name", mesh.name.empty() ? "face" : mesh.name}, {"primitives", primitives}};
+  if (!targets.empty()) {
+    result["weights"] = std::vector<double>(shapes.names.size(), 0.0);
+    result["extras"] = {{"targetNames", shapes.names}};
   }
   return result;
 }
 
-/// Rotation (T, 4) as quaternions x, y, z, w and translation (T, 3) of the head in glTF's metres
-/// and axes.
-std::pair<at::Tensor, at::Tensor> head_tracks(const Animation& animation) {
-  const int64_t frames = animation.num_frames();
-  const at::Tensor turns = at::empty({frames, 4}), shifts = at::empty({frames, 3});
-  const Eigen::Matrix3d& up = animation.frame.to_y_up;
-  Eigen::Vector4d before = Eigen::Quaterniond::Identity().coeffs();
-  using Pose = Eigen::Matrix<double, 4, 4, Eigen::RowMajor>;
-  for (int64_t t = 0; t < frames; ++t) {
-    const Pose pose = Eigen::Map<const Pose>(animation.head.const_data_ptr<double>() + 16 * t);
-    const Eigen::Matrix3d turn = up * pose.topLeftCorner<3, 3>() * up.transpose();
-    Eigen::Vector4d coefficients = Eigen::Quaterniond(turn).coeffs();
-    if (coefficients.dot(before) < 0) coefficients = -coefficients;  // the same turn, the short way
-    before = coefficients;
-    Eigen::Map<Eigen::Vector4f>(turns.data_ptr<float>() + 4 * t) = coefficients.cast<float>();
-    const Eigen::Vector3d shift =
-        animation.frame.metres_per_unit * (up * pose.topRightCorner<3, 1>());
-    Eigen::Map<Eigen::Vector3f>(shifts.data_ptr<float>() + 3 * t) = shift.cast<float>();
-  }
-  return {turns, shifts};
-}
-
-ordered_json animation_json(const Animation& animation, const MorphBasis& basis, Buffer& buffer) {
-  const auto times =
-      at::arange(animation.num_frames(), at::kDouble).div(animation.fps).to(at::kFloat);
-  const int input = buffer.add(times.view({-1, 1}), "SCALAR", kFloat, 0, true);
-  ordered_json samplers = ordered_json::array(), channels = ordered_json::array();
-  const auto add = [&](const char* path, int node, const at::Tensor& values, const char* type) {
-    const int output = buffer.add(values, type, kFloat, 0, false);
-    channels.push_back(
-        {{"sampler", samplers.size()}, {"target", {{"node", node}, {"path", path}}}});
-    samplers.push_back({{"input", input}, {"interpolation", "LINEAR"}, {"output", output}});
-  };
-  if (basis.targets.size(0) > 0) add("weights", kFaceNode, basis.weights.view({-1}), "SCALAR");
-  if (animation.head.defined()) {
-    const auto [turns, shifts] = head_tracks(animation);
-    add("rotation", kHeadNode, turns, "VEC4");
-    add("translation", kHeadNode, shifts, "VEC3");
-  }
-  return {{"name", "talk"}, {"samplers", samplers}, {"channels", channels}};
-}
-
-ordered_json node_json(const Animation& animation) {
+Json node_json(const Animation& animation, const Grid& grid) {
   const Eigen::Quaterniond turn(animation.frame.to_y_up);
   const double scale = animation.frame.metres_per_unit;
-  ordered_json node = {{"name", "face"}, {"mesh", 0}};
+  const Eigen::Vector3d shift = scale * (animation.frame.to_y_up * grid.middle.transpose());
+  Json node = {{"name", "face"}, {"mesh", 0}};
+  if (grid.compact) node["translation"] = {shift.x(), shift.y(), shift.z()};
   node["rotation"] = {turn.x(), turn.y(), turn.z(), turn.w()};
-  node["scale"] = {scale, scale, scale};
+  node["scale"] = std::vector<double>(3, scale * grid.half);
   return node;
 }
 
-ordered_json document(const Animation& animation, const MorphBasis& basis, Buffer& buffer) {
-  ordered_json root;
+/// What 16 bits cost: the targets as they come back, and the rest pose.
+double compact_error(const Animation& animation, const BlendShapes& shapes, const Grid& grid) {
+  const double step = grid.half / kSteps;
+  const auto targets = grid.pack(shapes.targets).to(at::kFloat) * step;
+  return morph_error(animation.displacements, shapes.weights, targets) + std::sqrt(3.0) / 2 * step;
+}
+
+Json document(const Animation& animation, const BlendShapes& shapes, const Grid& grid,
+              const SaveOptions& options, GltfBuffer& buffer) {
+  const mesh::Appearance look = mesh::load_appearance(animation.mesh);
+  Json root;
   root["asset"] = {{"version", "2.0"}, {"generator", "freetalk"}};
-  root["asset"]["extras"] = {{"fps", animation.fps},
-                             {"metadata", ordered_json::parse(animation.metadata_json)}};
+  add_facts(root, animation);
   const bool moves = animation.head.defined();
   root["scene"] = 0;
-  root["scenes"] = ordered_json::array({{{"nodes", {moves ? kHeadNode : kFaceNode}}}});
-  root["nodes"] = ordered_json::array({node_json(animation)});
+  root["scenes"] = Json::array({{{"nodes", {moves ? kHeadNode : kFaceNode}}}});
+  root["nodes"] = Json::array({node_json(animation, grid)});
   if (moves) root["nodes"].push_back({{"name", "head"}, {"children", {kFaceNode}}});
-  root["materials"] = ordered_json::array({{{"name", "skin"},
-                                            {"doubleSided", true},
-                                            {"pbrMetallicRoughness",
-                                             {{"baseColorFactor", {0.80, 0.64, 0.56, 1.0}},
-                                              {"metallicFactor", 0.0},
-                                              {"roughnessFactor", 0.7}}}}});
-  root["meshes"] = ordered_json::array({mesh_json(animation, basis, buffer)});
-  if (basis.targets.size(0) > 0 || moves) {
-    root["animations"] = ordered_json::array({animation_json(animation, basis, buffer)});
+  add_materials(root, look, buffer);
+  root["meshes"] = Json::array({mesh_json(animation, shapes, look, grid, options, buffer)});
+  GltfTracks tracks(buffer, animation);
+  if (!shapes.names.empty()) {
+    tracks.add(kFaceNode, "weights", shapes.weights.reshape({-1, 1}), "SCALAR");
   }
-  root["accessors"] = buffer.accessors;
-  root["bufferViews"] = buffer.views;
-  root["buffers"] = ordered_json::array({{{"byteLength", buffer.bytes()}}});
+  if (moves) tracks.add_head(kHeadNode, animation.frame);
+  if (!tracks.empty()) root["animations"] = Json::array({tracks.json()});
+  if (grid.compact) {
+    use_extension(root, "extensionsUsed", "KHR_mesh_quantization");
+    use_extension(root, "extensionsRequired", "KHR_mesh_quantization");
+  }
   return root;
-}
-
-void put_u32(std::ostream& out, uint64_t value) {
-  const char bytes[4] = {static_cast<char>(value), static_cast<char>(value >> 8),
-                         static_cast<char>(value >> 16), static_cast<char>(value >> 24)};
-  out.write(bytes, 4);
-}
-
-void write_glb(const std::filesystem::path& path, const ordered_json& root, const Buffer& buffer) {
-  std::string json = root.dump();
-  json.append((4 - json.size() % 4) % 4, ' ');
-  const uint64_t total = 12 + 8 + json.size() + 8 + buffer.bytes();
-  FREETALK_RUNTIME_CHECK(
-      total <= UINT32_MAX, path.string(),
-      ": would exceed the 4 GB of a .glb; lower max_morph_targets or write .npz");
-  core::write_file_atomic(path, [&](std::ostream& out) {
-    out.write("glTF", 4);
-    put_u32(out, 2);
-    put_u32(out, total);
-    put_u32(out, json.size());
-    out.write("JSON", 4);
-    out.write(json.data(), static_cast<std::streamsize>(json.size()));
-    put_u32(out, buffer.bytes());
-    out.write("BIN\0", 4);
-    buffer.write(out);
-  });
 }
 
 }  // namespace
 
-SaveReport save_gltf(const std::filesystem::path& path, const Animation& animation,
-                     const SaveOptions& options) {
-  const double unit_mm = 1e3 * animation.frame.metres_per_unit;
-  const auto basis = morph_basis(animation.displacements, options.morph_tolerance_mm / unit_mm,
-                                 options.max_morph_targets);
-  Buffer buffer;
-  ordered_json root = document(animation, basis, buffer);
-  SaveReport report;
-  report.num_morph_targets = basis.targets.size(0);
-  report.morph_error_mm = basis.max_error * unit_mm;
+void use_extension(Json& root, const char* list, const char* name) {
+  Json& names = root[list];
+  if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
+}
+
+void add_facts(Json& root, const Animation& animation) {
+  root["asset"]["extras"]["fps"] = animation.fps;
+  root["asset"]["extras"]["metadata"] = Json::parse(animation.metadata_json);
+}
+
+void add_sound(Json& root, GltfBuffer& buffer, const Animation& animation,
+               const std::filesystem::path& path) {
+  constexpr const char* kExtension = "KHR_audio_emitter";
+  Json sound = {{"mimeType", "audio/wav"}};
   if (core::lower_extension(path) == "glb") {
-    report.format = "glb";
-    write_glb(path, root, buffer);
-    return report;
+    sound["bufferView"] = buffer.add_bytes(wav_bytes(animation.audio));
+  } else {
+    sound["uri"] = sound_beside(path).filename().string();
   }
-  report.format = "gltf";
-  report.num_files = 2;
-  const auto binary = std::filesystem::path(path).replace_extension(".bin");
-  root["buffers"][0]["uri"] = binary.filename().string();
-  core::write_file_atomic(binary, [&](std::ostream& out) { buffer.write(out); });
-  core::write_file_atomic(path, root.dump());
+  Json& all = root["extensions"][kExtension];
+  const size_t audio = all["audio"].size(), source = all["sources"].size();
+  const size_t emitter = all["emitters"].size();
+  all["audio"].push_back(sound);
+  all["sources"].push_back({{"name", "speech"}, {"audio", audio}, {"autoplay", true}});
+  all["emitters"].push_back({{"name", "speech"}, {"type", "global"}, {"sources", {source}}});
+  if (root.contains("scenes") && !root["scenes"].empty()) {
+    const size_t scene = root.value("scene", size_t{0});
+    root["scenes"][scene]["extensions"][kExtension]["emitters"].push_back(emitter);
+  }
+  use_extension(root, "extensionsUsed", kExtension);
+}
+
+SaveReport save_gltf(const std::filesystem::path& path, const Animation& animation,
+                     const BlendShapes& shapes, const SaveOptions& options) {
+  SaveReport report;
+  report.format = core::lower_extension(path);
+  report.num_morph_targets = shapes.targets.size(0);
+  const double unit_mm = 1e3 * animation.frame.metres_per_unit;
+  report.morph_error_mm = shapes.max_error * unit_mm;
+  if (save_into_source(path, animation, shapes, options, report)) return report;
+  const Grid grid = grid_of(animation, shapes, options.compact);
+  if (grid.compact) report.morph_error_mm = compact_error(animation, shapes, grid) * unit_mm;
+  GltfBuffer buffer;
+  Json root = document(animation, shapes, grid, options, buffer);
+  if (options.sound && !animation.audio.samples.empty()) add_sound(root, buffer, animation, path);
+  report.num_files = write_gltf(path, std::move(root), buffer);
   return report;
 }
 

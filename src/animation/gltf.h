@@ -9,9 +9,8 @@ namespace freetalk::animation {
 
 /// Writes `path` (.glb, or .gltf with a .bin beside it). The node turns and scales the mesh to
 /// metres, +Y up. Vertices keep their order; where a vertex has several texture coordinates, copies
-/// of it are appended after the last one. Morph targets hold positions only: viewers light the
-/// moving face with the normals of the rest pose.
+/// of it are appended after the last one.
 SaveReport save_gltf(const std::filesystem::path& path, const Animation& animation,
-                     const SaveOptions& options);
+                     const BlendShapes& shapes, const SaveOptions& options);
 
 }  // namespace freetalk::animation

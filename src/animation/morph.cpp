@@ -120,12 +120,54 @@ MorphBasis morph_basis(const at::Tensor& displacements, double tolerance, int64_
     }
   });
   MorphBasis result = non_negative(weights.slice(1, 0, rank), full.slice(0, 0, rank));
-  const auto flat = result.targets;
+  result.targets = result.targets.view({result.targets.size(0), vertices, 3});
+  result.max_error = morph_error(displacements, result.weights, result.targets);
+  return result;
+}
+
+double morph_error(const at::Tensor& displacements, const at::Tensor& weights,
+                   const at::Tensor& targets) {
+  const auto motion = displacements.reshape({displacements.size(0), -1});
+  const auto flat = targets.reshape({targets.size(0), motion.size(1)});
+  double error = 0.0;
   for_blocks(motion, [&](int64_t start, int64_t stop) {
-    result.max_error = std::max(
-        result.max_error, block_error(motion, result.weights, flat, flat.size(0), start, stop));
+    error = std::max(error, block_error(motion, weights, flat, flat.size(0), start, stop));
   });
-  result.targets = flat.view({flat.size(0), vertices, 3});
+  return error;
+}
+
+BlendShapes blend_shapes(const at::Tensor& displacements, const BlendShapes& given,
+                         double tolerance, int64_t max_targets) {
+  const int64_t frames = displacements.size(0), vertices = displacements.size(1);
+  const auto count = static_cast<int64_t>(given.names.size());
+  at::Tensor left = displacements;
+  if (count > 0) {
+    const std::vector<int64_t> targets{count, vertices, 3}, weights{frames, count};
+    FREETALK_CHECK(given.targets.defined() && given.targets.sizes() == targets &&
+                       given.weights.defined() && given.weights.sizes() == weights,
+                   "blend shapes must be targets (", count, ", ", vertices, ", 3) and weights (",
+                   frames, ", ", count, ")");
+    FREETALK_CHECK(given.weights.ge(0).logical_and(given.weights.le(1)).all().item<bool>(),
+                   "weights of blend shapes must lie in [0, 1]");
+    left = core::scratch_tensor(displacements.sizes());
+    const auto flat = given.targets.reshape({count, 3 * vertices});
+    constexpr int64_t kFrames = 32;
+    for (int64_t t = 0; t < frames; t += kFrames) {
+      const int64_t stop = std::min(t + kFrames, frames);
+      left.slice(0, t, stop)
+          .view({stop - t, -1})
+          .copy_(displacements.slice(0, t, stop).reshape({stop - t, -1}) -
+                 given.weights.slice(0, t, stop).matmul(flat));
+    }
+  }
+  const MorphBasis basis = morph_basis(left, tolerance, max_targets);
+  BlendShapes result = given;
+  for (int64_t k = 0; k < basis.targets.size(0); ++k) {
+    result.names.push_back("motion_" + std::to_string(k));
+  }
+  result.targets = count > 0 ? at::cat({given.targets, basis.targets}) : basis.targets;
+  result.weights = count > 0 ? at::cat({given.weights, basis.weights}, 1) : basis.weights;
+  result.max_error = basis.max_error;
   return result;
 }
 

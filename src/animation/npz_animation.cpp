@@ -106,6 +106,10 @@ void save_npz(const std::filesystem::path& path, const Animation& animation) {
     if (animation.head.defined()) {
       writer.add("head", "<f8", animation.head.sizes().vec(), animation.head.const_data_ptr());
     }
+    if (animation.landmarks.defined()) {
+      const auto landmarks = animation.landmarks.contiguous();
+      writer.add("landmarks", "<f4", landmarks.sizes().vec(), landmarks.data_ptr<float>());
+    }
     if (!mesh.polygons.empty()) {
       add_lists(writer, "polygon_sizes", "polygon_vertices", mesh.polygons);
     }
@@ -141,6 +145,11 @@ Animation load_npz(const std::filesystem::path& path) {
     FREETALK_RUNTIME_CHECK(rate >= audio::kMinSampleRateHz && rate <= audio::kMaxSampleRateHz,
                            where, ": 'sample_rate_hz' is ", rate);
     animation.audio.sample_rate_hz = static_cast<int64_t>(rate);
+  }
+  if (reader.contains("landmarks")) {
+    const auto& motion = reader.at("landmarks").shape;
+    const auto values = reader.read<float>("landmarks");
+    animation.landmarks = at::tensor(values).view(motion);
   }
   if (reader.contains("metadata")) animation.metadata_json = reader.read_text("metadata");
   if (reader.contains("metres_per_unit")) {

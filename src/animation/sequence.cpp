@@ -1,5 +1,8 @@
-#include "sequence.h"
+#include "vertex_files.h"
 
+#include <ATen/ATen.h>
+
+#include <algorithm>
 #include <cerrno>
 #include <cstdio>
 #include <cstring>
@@ -7,6 +10,7 @@
 #include <system_error>
 
 #include "core/file.h"
+#include "core/scratch.h"
 #include "freetalk/core/error.h"
 #include "freetalk/mesh/mesh.h"
 #include "mesh/mesh_file.h"
@@ -51,7 +55,7 @@ class TemporaryFolder {
 }  // namespace
 
 SaveReport save_sequence(const fs::path& folder, const std::string& extension,
-                         const Animation& animation) {
+                         const Animation& animation, const SaveProgress& progress) {
   const fs::path target = fs::absolute(folder.empty() ? "." : folder).lexically_normal();
   const fs::path clean = target.has_filename() ? target : target.parent_path();
   try {
@@ -65,6 +69,7 @@ SaveReport save_sequence(const fs::path& folder, const std::string& extension,
     for (int64_t t = 0; t < animation.num_frames(); ++t) {
       frame.vertices = animation.vertices_at(t);
       write_frame(temporary.path() / frame_name(t, extension), mesh::mesh_bytes(frame, extension));
+      if (progress) progress(static_cast<double>(t + 1) / animation.num_frames());
     }
     fs::create_directories(clean);
     for (int64_t t = 0; t < animation.num_frames(); ++t) {
@@ -81,6 +86,36 @@ SaveReport save_sequence(const fs::path& folder, const std::string& extension,
   report.format = extension;
   report.num_files = animation.num_frames();
   return report;
+}
+
+Animation load_sequence(const fs::path& folder, double fps) {
+  FREETALK_RUNTIME_CHECK(fs::is_directory(folder), folder.string(),
+                         " is not a folder of meshes, one a frame");
+  std::vector<fs::path> files;
+  for (const auto& entry : fs::directory_iterator(folder)) {
+    const std::string extension = core::lower_extension(entry.path());
+    if (extension == "obj" || extension == "ply") files.push_back(entry.path());
+  }
+  std::sort(files.begin(), files.end());
+  FREETALK_RUNTIME_CHECK(!files.empty(), folder.string(), " holds no OBJ or PLY files");
+  Animation animation;
+  animation.fps = fps;
+  animation.mesh = mesh::load_mesh(files.front());
+  const int64_t vertices = animation.mesh.num_vertices();
+  const auto frames = static_cast<int64_t>(files.size());
+  animation.displacements = core::scratch_tensor({frames, vertices, 3});
+  for (int64_t t = 0; t < frames; ++t) {
+    const mesh::Mesh frame = mesh::load_mesh(files[t]);
+    FREETALK_RUNTIME_CHECK(frame.num_vertices() == vertices, files[t].string(), " has ",
+                           frame.num_vertices(), " vertices, ", files.front().string(), " ",
+                           vertices, ": they are no frames of one mesh");
+    const Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor> moved =
+        (frame.vertices - animation.mesh.vertices).cast<float>();
+    animation.displacements[t].copy_(
+        at::from_blob(const_cast<float*>(moved.data()), {vertices, 3}, at::kFloat));
+  }
+  animation.check();
+  return animation;
 }
 
 }  // namespace freetalk::animation

@@ -11,27 +11,40 @@
 
 #include "core/number.h"
 #include "freetalk/core/error.h"
+#include "freetalk/core/options.h"
 
 namespace freetalk::ats {
 namespace {
 
 const std::map<std::string, std::string>& emotion_aliases() {
   static const std::map<std::string, std::string> aliases = {
-      {"fear", "afraid"},        {"fearful", "afraid"},       {"anger", "angry"},
-      {"happiness", "happy"},    {"sadness", "sad"},          {"disgusted", "disgust"},
-      {"surprised", "surprise"}, {"contemptuous", "contempt"}};
+      {"fear", "afraid"},        {"fearful", "afraid"},        {"anger", "angry"},
+      {"happiness", "happy"},    {"sadness", "sad"},           {"disgusted", "disgust"},
+      {"surprised", "surprise"}, {"contemptuous", "contempt"}, {"joy", "happy"},
+      {"joyful", "happy"},       {"scared", "afraid"},         {"mad", "angry"},
+      {"furious", "angry"},      {"unhappy", "sad"},           {"sorrow", "sad"},
+      {"shame", "ashamed"},      {"astonished", "surprise"},   {"calm", "neutral"},
+      {"content", "pleased"}};
   return aliases;
 }
 
+std::string lower(std::string text) {
+  for (char& c : text) c = c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
+  return text;
+}
+
 int64_t emotion_index(const std::string& name, const std::vector<std::string>& emotions) {
-  const auto alias = emotion_aliases().find(name);
-  const std::string& canonical = alias == emotion_aliases().end() ? name : alias->second;
+  const std::string wanted = lower(name);
+  const auto alias = emotion_aliases().find(wanted);
+  const std::string& canonical = alias == emotion_aliases().end() ? wanted : alias->second;
   for (size_t i = 0; i < emotions.size(); ++i) {
-    if (emotions[i] == canonical) return static_cast<int64_t>(i);
+    if (lower(emotions[i]) == canonical) return static_cast<int64_t>(i);
   }
   std::string known;
   for (const std::string& emotion : emotions) known += (known.empty() ? "" : ", ") + emotion;
-  throw std::invalid_argument(core::join("unknown emotion '", name, "'; known are: ", known));
+  throw std::invalid_argument(core::join("unknown emotion '", name, "', did you mean '",
+                                         core::nearest_name(wanted, emotions),
+                                         "'? known are: ", known));
 }
 
 std::string trimmed(const std::string& text) {
@@ -131,11 +144,21 @@ at::Tensor parse_emotion(const std::string& text, const std::vector<std::string>
                      part.substr(colon + 1), "' is not a number >= 0");
       weight = *given;
     }
+    FREETALK_CHECK(part.find('=') == std::string::npos, "emotion '", text,
+                   "': keys are separated by ';', the emotions of one by ','");
     const int64_t index = emotion_index(trimmed(part.substr(0, colon)), emotions);
     mixture[static_cast<size_t>(index)] += static_cast<float>(weight);
     total += static_cast<float>(weight);
   }
   FREETALK_CHECK(total > 0, "emotion '", text, "' names no emotion with a positive weight");
+  const bool alone = text.find(',') == std::string::npos;
+  FREETALK_CHECK(!alone || total <= 1, "emotion '", text,
+                 "': a weight is a share of at most 1; for how strong it is write '@INTENSITY'");
+  const auto neutral = std::find(emotions.begin(), emotions.end(), "neutral");
+  if (total < 1 && neutral != emotions.end()) {  // a weaker emotion
+    mixture[static_cast<size_t>(neutral - emotions.begin())] += 1 - total;
+    total = 1;
+  }
   return torch::tensor(mixture) / total;
 }
 

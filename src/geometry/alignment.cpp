@@ -27,7 +27,9 @@ Eigen::Vector3d axis_vector(const std::string& axis) {
   return (axis[0] == '-' ? -1.0 : 1.0) * Eigen::Vector3d::Unit(axis[1] - 'x');
 }
 
-std::string nearest_axis(const Eigen::Vector3d& direction) {
+/// @param taken an axis that is another's, "+x" say, or "auto".
+std::string nearest_axis(Eigen::Vector3d direction, const std::string& taken) {
+  if (taken != "auto") direction[taken[1] - 'x'] = 0.0;
   int axis = 0;
   direction.cwiseAbs().maxCoeff(&axis);
   return std::string(direction[axis] < 0.0 ? "-" : "+") + static_cast<char>('x' + axis);
@@ -269,18 +271,27 @@ Alignment describe(const Fit& found, const AlignOptions& options) {
   Alignment result;
   result.to_canonical = fit;
   result.unit = options.unit != "auto" ? options.unit : unit_of(fit.scale);
-  result.up = options.up != "auto" ? options.up : nearest_axis(fit.rotation.row(1).transpose());
-  result.forward =
-      options.forward != "auto" ? options.forward : nearest_axis(fit.rotation.row(2).transpose());
+  result.up = options.up != "auto" ? options.up
+                                   : nearest_axis(fit.rotation.row(1).transpose(), options.forward);
+  result.forward = options.forward != "auto"
+                       ? options.forward
+                       : nearest_axis(fit.rotation.row(2).transpose(), result.up);
   result.guessed = options.unit == "auto" || options.up == "auto" || options.forward == "auto";
   result.residual_m = residual_m;
   result.normal_degrees = found.quality.normal_degrees;
   result.face_like = face_like(found.quality);
   char millimetres[32];
   std::snprintf(millimetres, sizeof(millimetres), "%.1f", residual_m * 1e3);
-  result.summary = core::join(result.guessed ? "guessed" : "given", " unit ", result.unit, ", ",
-                              capital(result.up), " up, ", capital(result.forward),
-                              " forward; fit residual ", millimetres, " mm");
+  const bool some = options.unit != "auto" || options.up != "auto" || options.forward != "auto";
+  const auto how = [&](const std::string& option) {
+    return !(result.guessed && some) ? "" : option == "auto" ? " (guessed)" : " (given)";
+  };
+  result.summary = core::join(result.guessed && some ? ""
+                              : result.guessed       ? "guessed "
+                                                     : "given ",
+                              "unit ", result.unit, how(options.unit), ", ", capital(result.up),
+                              " up", how(options.up), ", ", capital(result.forward), " forward",
+                              how(options.forward), "; fit residual ", millimetres, " mm");
   if (!result.face_like) result.summary += " (does not look like a face)";
   return result;
 }

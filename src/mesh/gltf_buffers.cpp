@@ -148,12 +148,12 @@ void GltfDocument::load_buffers(std::string_view binary_chunk) {
     if (uri == buffer.end()) {
       buffers_.emplace_back(buffers_.empty() ? binary_chunk : std::string_view());
     } else {
-      buffers_.push_back(buffer_of(uri->get<std::string>()));
+      buffers_.push_back(content_of(uri->get<std::string>()));
     }
   }
 }
 
-std::string GltfDocument::buffer_of(const std::string& uri) const {
+std::string GltfDocument::content_of(const std::string& uri) const {
   if (uri.compare(0, 5, "data:") == 0) {
     const size_t comma = uri.find(',');
     if (comma == std::string::npos) fail(kDamaged);
@@ -234,6 +234,8 @@ std::string_view GltfDocument::view(int64_t index, int64_t offset) const {
   return std::string_view(bytes).substr(static_cast<size_t>(start + offset),
                                         static_cast<size_t>(length - offset));
 }
+
+std::string GltfDocument::view_bytes(int64_t index) const { return std::string(view(index, 0)); }
 
 const json& GltfDocument::accessor_at(int64_t index) const {
   const json& accessors = list("accessors");

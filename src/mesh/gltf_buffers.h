@@ -35,6 +35,11 @@ class GltfDocument {
   /// Exactly `count` numbers.
   std::vector<double> numbers(const nlohmann::json& object, const char* key, size_t count) const;
 
+  /// What a buffer view holds.
+  std::string view_bytes(int64_t index) const;
+  const std::vector<std::string>& buffers() const { return buffers_; }
+  /// The content of a URI: data, or a file in the folder. @throws std::runtime_error otherwise.
+  std::string content_of(const std::string& uri) const;
   /// Bytes of all buffers.
   int64_t num_bytes() const;
   int64_t accessor_count(int64_t accessor) const;
@@ -55,7 +60,6 @@ class GltfDocument {
 
   void parse(std::string_view text);
   void load_buffers(std::string_view binary_chunk);
-  std::string buffer_of(const std::string& uri) const;
   std::string_view view(int64_t index, int64_t offset) const;
   const nlohmann::json& accessor_at(int64_t index) const;
   /// Elements of `object`'s buffer view, checked to lie within it.

@@ -8,8 +8,7 @@
 #include <numeric>
 
 #include "freetalk/core/error.h"
-#include "mesh/gltf_buffers.h"
-#include "mesh/mesh_file.h"
+#include "mesh/gltf_scene.h"
 
 namespace freetalk::mesh {
 namespace {
@@ -26,12 +25,14 @@ class GltfScene {
         meshes_(document.list("meshes")),
         visited_(nodes_.size(), 0) {}
 
+  const std::vector<GltfPart>& parts() const { return parts_; }
+
   RawMesh read() {
     const std::vector<int64_t> roots = root_nodes();
     for (const int64_t root : roots) visit(root);
     if (nodes_.empty()) {
       for (size_t m = 0; m < meshes_.size(); ++m) {
-        add_mesh(static_cast<int64_t>(m), Eigen::Affine3d::Identity());
+        add_mesh(-1, static_cast<int64_t>(m), Eigen::Affine3d::Identity());
       }
     }
     if (mesh_.texcoords.empty()) mesh_.polygon_texcoords.clear();
@@ -79,7 +80,7 @@ class GltfScene {
       if (node.contains("mesh")) {
         // The vertices of a skinned mesh are placed by its joints, whatever its node says.
         const bool skinned = node.contains("skin");
-        add_mesh(document_.index(node, "mesh", meshes_.size()),
+        add_mesh(index, document_.index(node, "mesh", meshes_.size()),
                  skinned ? Eigen::Affine3d::Identity() : here);
       }
       std::vector<int64_t> children = document_.indices(node, "children", nodes_.size());
@@ -111,15 +112,18 @@ class GltfScene {
     return result;
   }
 
-  void add_mesh(int64_t index, const Eigen::Affine3d& placement) {
+  void add_mesh(int64_t node, int64_t index, const Eigen::Affine3d& placement) {
     Rows rows;
     const json& primitives = document_.list(meshes_[static_cast<size_t>(index)], "primitives");
-    for (const json& primitive : primitives) {
-      if (primitive.is_object()) add_primitive(primitive, placement, rows);
+    for (size_t p = 0; p < primitives.size(); ++p) {
+      if (!primitives[p].is_object()) continue;
+      const GltfPart part{node, index, static_cast<int64_t>(p), 0, 0, placement.linear()};
+      add_primitive(primitives[p], placement, rows, part);
     }
   }
 
-  void add_primitive(const json& primitive, const Eigen::Affine3d& placement, Rows& rows) {
+  void add_primitive(const json& primitive, const Eigen::Affine3d& placement, Rows& rows,
+                     GltfPart part) {
     const json& extensions = primitive.value("extensions", json::object());
     if (extensions.contains("KHR_draco_mesh_compression")) {
       fail("is compressed with Draco, which is not read; export it without compression");
@@ -135,6 +139,9 @@ class GltfScene {
     const int64_t positions = document_.whole(attributes, "POSITION");
     const std::vector<int64_t> corners = corners_of(primitive, positions);
     const int first = add_vertices(positions, placement, rows);
+    part.positions = positions;
+    part.first_vertex = first;
+    parts_.push_back(part);
     check_range(corners, positions);
     int texture = -1;
     if (attributes.contains("TEXCOORD_0")) {
@@ -225,14 +232,21 @@ class GltfScene {
   const json& meshes_;
   std::vector<char> visited_;
   RawMesh mesh_;
+  std::vector<GltfPart> parts_;
 };
 
 }  // namespace
 
+RawMesh read_gltf_scene(const GltfDocument& document, std::vector<GltfPart>* parts) {
+  GltfScene scene(document);
+  RawMesh mesh = scene.read();
+  if (parts != nullptr) *parts = scene.parts();
+  return mesh;
+}
+
 RawMesh read_gltf(const std::filesystem::path& path, const std::string& bytes) {
   try {
-    const GltfDocument document(path, bytes);
-    return GltfScene(document).read();
+    return read_gltf_scene(GltfDocument(path, bytes));
   } catch (const json::exception&) {
     throw std::runtime_error("mesh file " + path.string() +
                              " is damaged or not glTF; export it again");

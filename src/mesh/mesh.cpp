@@ -119,7 +119,7 @@ Mesh make_mesh(Eigen::MatrixXd vertices, std::vector<std::vector<int>> polygons,
                   std::move(polygon_texcoords), std::move(name));
 }
 
-Mesh load_mesh(const std::filesystem::path& path) {
+RawMesh read_raw_mesh(const std::filesystem::path& path) {
   const std::string file = path.string();
   std::error_code error;
   FREETALK_RUNTIME_CHECK(std::filesystem::exists(path, error), "mesh file ", file,
@@ -136,7 +136,12 @@ Mesh load_mesh(const std::filesystem::path& path) {
                          " has no known mesh extension; convert it to OBJ, PLY, OFF, STL or glTF");
   const std::string bytes = core::read_text(path);
   FREETALK_RUNTIME_CHECK(!bytes.empty(), "mesh file ", file, " is empty; export the mesh again");
-  RawMesh raw = reader->second(path, bytes);
+  return reader->second(path, bytes);
+}
+
+Mesh load_mesh(const std::filesystem::path& path) {
+  const std::string file = path.string();
+  RawMesh raw = read_raw_mesh(path);
   Eigen::MatrixXd vertices = to_matrix<3>(raw.vertices);
   Eigen::MatrixXd texcoords = to_matrix<2>(raw.texcoords);
   const std::string problem =
@@ -145,6 +150,7 @@ Mesh load_mesh(const std::filesystem::path& path) {
   Mesh mesh = assemble(std::move(vertices), std::move(raw.polygons), std::move(texcoords),
                        std::move(raw.polygon_texcoords), path.stem().string());
   mesh.lines_and_points += raw.lines_and_points;
+  mesh.source = std::filesystem::absolute(path);
   return mesh;
 }
 

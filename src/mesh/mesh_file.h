@@ -19,7 +19,14 @@ struct RawMesh {
   std::vector<Eigen::Vector2d> texcoords;
   std::vector<std::vector<int>> polygon_texcoords;  // as many as polygons, or none
   int64_t lines_and_points = 0;                     // elements that are no polygons, not kept
+  std::vector<Eigen::Vector4d> colours;             // of vertices, in [0, 1]; as many, or none
+  std::vector<std::string> materials;               // names, in order of first use
+  std::vector<int> polygon_material;                // as many as polygons, -1: none; or none
+  std::vector<std::string> material_files;          // OBJ: libraries; PLY: the texture
 };
+
+/// Reads a file by its extension. @throws std::runtime_error, one sentence naming the file.
+RawMesh read_raw_mesh(const std::filesystem::path& path);
 
 /// Wavefront OBJ text. @throws std::runtime_error naming the file and the line.
 RawMesh read_obj(const std::filesystem::path& path, const std::string& text);

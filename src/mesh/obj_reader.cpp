@@ -1,5 +1,6 @@
 // OBJ text to RawMesh. Not OpenMesh's reader: that one drops a line "v nan 0 0" (which shifts every
 // index after it), rounds to float and keeps no texture coordinate indices.
+#include <algorithm>
 #include <charconv>
 #include <limits>
 #include <string_view>
@@ -25,16 +26,23 @@ class ObjParser {
         Eigen::Vector3d& point = mesh_.vertices.emplace_back();
         for (int axis = 0; axis < 3; ++axis)
           point[axis] = number(line, "a vertex needs three numbers");
+        colour(line);
       } else if (keyword == "vt") {
         Eigen::Vector2d& texcoord = mesh_.texcoords.emplace_back(0.0, 0.0);
         texcoord[0] = number(line, "a texture coordinate needs a number");
         if (!blank(line)) texcoord[1] = number(line, "a texture coordinate is not a number");
       } else if (keyword == "f") {
         face(line);
+      } else if (keyword == "usemtl") {
+        material_ = material(rest_of(line));
+      } else if (keyword == "mtllib") {
+        mesh_.material_files.push_back(rest_of(line));
       } else if (keyword == "l" || keyword == "p") {
         ++mesh_.lines_and_points;
       }
     }
+    if (mesh_.colours.size() != mesh_.vertices.size()) mesh_.colours.clear();
+    if (mesh_.materials.empty()) mesh_.polygon_material.clear();
     if (!any_texcoords_) {
       mesh_.texcoords.clear();
       mesh_.polygon_texcoords.clear();
@@ -79,6 +87,32 @@ class ObjParser {
     return token;
   }
 
+  /// What is left of a line, a name that may hold spaces.
+  static std::string rest_of(std::string_view line) {
+    const size_t begin = std::min(line.find_first_not_of(" \t"), line.size());
+    const size_t end = line.find_last_not_of(" \t") + 1;
+    return std::string(line.substr(begin, std::max(begin, end) - begin));
+  }
+
+  int material(const std::string& name) {
+    const auto found = std::find(mesh_.materials.begin(), mesh_.materials.end(), name);
+    const auto index = static_cast<int>(found - mesh_.materials.begin());
+    if (found == mesh_.materials.end()) mesh_.materials.push_back(name);
+    return index;
+  }
+
+  /// Three numbers after the position are a colour, as ZBrush and MeshLab write it.
+  void colour(std::string_view line) {
+    Eigen::Vector4d values(0.0, 0.0, 0.0, 1.0);
+    for (int channel = 0; channel < 3; ++channel) {
+      const std::string_view token = next_token(line);
+      const auto [end, error] =
+          core::parse_number(token.data(), token.data() + token.size(), values[channel]);
+      if (token.empty() || error != std::errc()) return;
+    }
+    mesh_.colours.push_back(values.cwiseMax(0.0).cwiseMin(1.0));
+  }
+
   double number(std::string_view& line, const char* problem) {
     std::string_view token = next_token(line);
     if (!token.empty() && token.front() == '+') token.remove_prefix(1);
@@ -118,6 +152,7 @@ class ObjParser {
     any_texcoords_ |= !texcoords.empty();
     mesh_.polygons.push_back(std::move(polygon));
     mesh_.polygon_texcoords.push_back(std::move(texcoords));
+    mesh_.polygon_material.push_back(material_);
   }
 
   const std::filesystem::path& path_;
@@ -126,6 +161,7 @@ class ObjParser {
   size_t position_ = 0;
   int64_t line_number_ = 0;
   bool any_texcoords_ = false;
+  int material_ = -1;
   RawMesh mesh_;
 };
 

@@ -3,6 +3,7 @@
 // to float, drops corner texture coordinates and fills the rest with repetitions when a file is cut
 // short.
 #include <algorithm>
+#include <array>
 #include <bit>
 #include <charconv>
 #include <cstring>
@@ -97,6 +98,11 @@ class PlyParser {
       } else if (keyword == "property") {
         if (elements_.empty()) fail(kNotPly);
         elements_.back().properties.push_back(property(name, words));
+      } else if (keyword == "comment" && name == "TextureFile") {
+        std::string file;
+        std::getline(words >> std::ws, file);
+        if (!file.empty() && file.back() == '\r') file.pop_back();
+        mesh_.material_files.push_back(file);
       } else if (!first && keyword != "comment" && keyword != "obj_info" && !keyword.empty()) {
         fail(kNotPly);
       }
@@ -148,7 +154,7 @@ class PlyParser {
     for (const Property& property : element.properties) {
       if (!property.is_list) {
         const double value = number(property.type);
-        if (is_vertex) set_vertex(property.name, value);
+        if (is_vertex) set_vertex(property, value);
         continue;
       }
       const double count = number(property.count_type);
@@ -164,13 +170,21 @@ class PlyParser {
     if (is_face) add_face(std::move(polygon), texcoords);
   }
 
-  void set_vertex(const std::string& name, double value) {
+  void set_vertex(const Property& property, double value) {
+    const std::string& name = property.name;
     const auto is = [&name](std::initializer_list<const char*> names) {
       return std::find(names.begin(), names.end(), name) != names.end();
     };
     if (name == "x") mesh_.vertices.back().x() = value;
     if (name == "y") mesh_.vertices.back().y() = value;
     if (name == "z") mesh_.vertices.back().z() = value;
+    constexpr std::array<const char*, 4> kChannels = {"red", "green", "blue", "alpha"};
+    const auto channel = std::find(kChannels.begin(), kChannels.end(), name);
+    if (channel != kChannels.end()) {
+      mesh_.colours.resize(mesh_.vertices.size(), Eigen::Vector4d(0.0, 0.0, 0.0, 1.0));
+      const double scale = property.type == Scalar::kUint8 ? 255.0 : 1.0;
+      mesh_.colours.back()[channel - kChannels.begin()] = std::clamp(value / scale, 0.0, 1.0);
+    }
     if (is({"s", "u", "texture_u"})) mesh_.texcoords.back().x() = value;
     if (is({"t", "v", "texture_v"})) {
       mesh_.texcoords.back().y() = value;

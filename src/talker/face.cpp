@@ -150,7 +150,8 @@ std::vector<animation::Animation> Face::animate_many(const audio::Audio& audio,
             face.in_mesh(head_motion(audio, frames, options.fps, static_cast<uint64_t>(seeds[k])));
       }
       animations.push_back({face.mesh, results[k], options.fps, audio,
-                            metadata(used, face.options, found, decoded), face.frame, head});
+                            metadata(used, face.options, found, decoded), face.frame, head,
+                            motions[k].to(at::kCPU, at::kFloat)});
     }
     stages.end();
     return animations;

@@ -59,4 +59,18 @@ const rig::FaceRig& Face::rig(const Progress& progress) const {
   });
 }
 
+animation::BlendShapes Face::blend_shapes(const animation::Animation& animation,
+                                          const Progress& progress) const {
+  FREETALK_CHECK(animation.landmarks.defined(),
+                 "the animation doesn't say of which landmarks it was made");
+  const torch::NoGradGuard no_grad;
+  const rig::FaceRig& made = rig(progress);
+  const int64_t count = made.num_shapes();
+  animation::BlendShapes result;
+  result.names.assign(made.names().begin(), made.names().begin() + count);
+  result.targets = state_->in_mesh(made.targets().narrow(0, 0, count), state_->models->rig.shapes);
+  result.weights = made.solve(animation.landmarks).narrow(1, 0, count).contiguous();
+  return result;
+}
+
 }  // namespace freetalk::talker

@@ -166,6 +166,12 @@ std::vector<at::Tensor> landmark_motion(const TalkerModels& models, const audio:
                                "' is not shown");
     }
     motions = spoken_motion(models, audio, num_frames, seeds, options, precision, device, stages);
+    const auto keys = emotion_keys(options.emotion, options.intensity, models.ats->options());
+    if (keys.size() > 1 && keys.back().time_s > audio.duration_s()) {
+      report.notices.push_back(core::join("the emotion at ", keys.back().time_s,
+                                          " s lies beyond the end of the speech at ",
+                                          audio.duration_s(), " s and is not reached"));
+    }
   }
   if (options.blinks) {
     for (size_t k = 0; k < seeds.size(); ++k) {

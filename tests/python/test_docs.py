@@ -19,7 +19,7 @@ from freetalk.corpus import assets
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 #: Pages whose Python is run as it stands; that of the README shows names of what a user has.
-RUN = ("live.md",)
+RUN = ("outputs.md", "live.md")
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -87,3 +87,7 @@ def test_python_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     known: dict[str, object] = {}
     for block in blocks(ROOT / "docs" / page, "python"):
         exec(block, known)
+    if page == "outputs.md":
+        report = known["report"]
+        assert report.morph_error_mm <= 0.1 and report.num_morph_targets > 51  # type: ignore[attr-defined]
+        assert {"talk.glb", "talk.usda", "talk.csv"} <= {path.name for path in tmp_path.iterdir()}

@@ -42,7 +42,8 @@ PYTHON_LAYERS: dict[str, int] = {
     "data": 1,
     "prepare": 1,
     "corpus": 2,
-    "page": 3,
+    "exports": 3,
+    "page": 4,
     "faces": 3,
     "train": 3,
     "video": 3,
@@ -55,6 +56,7 @@ PYTHON_LAYERS: dict[str, int] = {
 ON_DEMAND = {
     ("animation", "viz"),  # save("talk.mp4")
     ("animation", "page"),  # save("talk.html")
+    ("animation", "exports"),  # save("talk.usdc"), save("talk.csv")
     ("talker", "data"),  # landmarks from a file
     ("talker", "faces"),  # the face of a mesh whose shape leaves it in doubt
 }

@@ -31,8 +31,11 @@ struct EmotionKey {
 /// @param keys at least one, their times rising.
 Affect interpolate(const std::vector<EmotionKey>& keys, int64_t num_frames, double fps);
 
-/// "happy", "fear" (an alias) or "happy:0.7,sad:0.3" to a convex mixture (E,) over `emotions`.
-/// @throws std::invalid_argument listing the known emotions.
+/// "happy", "Fear" (an alias, of any case) or "happy:0.7,sad:0.3" to a convex mixture (E,) over
+/// `emotions`. What weights leave of one is neutral: "happy:0.3" is a weak happiness. Weights of
+/// several that add up to more are shares.
+/// @throws std::invalid_argument listing the known emotions and the nearest of them, or for one
+/// emotion with a weight above 1.
 at::Tensor parse_emotion(const std::string& text, const std::vector<std::string>& emotions);
 
 /// Keys from text: "TIME=EMOTION@INTENSITY" joined by ';', such as

@@ -24,6 +24,7 @@ struct Mesh {
   std::vector<int> face_polygon;  ///< (F,) the polygon each triangle was cut from.
   int64_t lines_and_points = 0;   ///< Elements of fewer than three corners, which are not kept.
   std::string name;               ///< The file's name without folder and extension, for messages.
+  std::filesystem::path source;   ///< The file it was read from; empty for a mesh made in memory.
 
   int64_t num_vertices() const { return vertices.rows(); }
   int64_t num_faces() const { return faces.rows(); }

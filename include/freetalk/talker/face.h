@@ -83,6 +83,12 @@ class Face {
   /// throws.
   const rig::FaceRig& rig(const Progress& progress = {}) const;
 
+  /// An animation of this face as ARKit's 51 shapes, for Animation::save: targets in the mesh's own
+  /// unit and axes, weights of the landmarks that it was made of.
+  /// @throws std::invalid_argument for an animation without landmarks; as rig().
+  animation::BlendShapes blend_shapes(const animation::Animation& animation,
+                                      const Progress& progress = {}) const;
+
   /// A stream on this face; include talker/live.h. @throws as Live.
   Live live(const LiveOptions& options) const;
 

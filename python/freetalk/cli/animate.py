@@ -17,6 +17,7 @@ from freetalk.cli.motion_options import diffusion_options
 from freetalk.cli.outputs import (
     AUDIO_SUFFIXES,
     MESH_SUFFIXES,
+    RIG_FORMATS,
     VIDEO_FORMATS,
     Output,
     check_readable,
@@ -54,10 +55,7 @@ def run(arguments: argparse.Namespace) -> None:
     jobs = plan(arguments)
     weights = find_weights(arguments.pretrained)
     check_intensity(arguments.intensity, weights)
-    if any(output.format in VIDEO_FORMATS for job in jobs for output in job.outputs):
-        from freetalk.viz import check_video_support
-
-        check_video_support()
+    check_support({output.format for job in jobs for output in job.outputs})
     report = Report(arguments.quiet)
 
     import freetalk
@@ -195,7 +193,7 @@ def write_all(
     failed: list[str] = []
     for output in job.outputs:
         try:
-            write(animation, output, arguments.size, report)
+            write(animation, output, arguments, report, arguments.rig)
         except (ValueError, RuntimeError, OSError, ImportError) as error:
             failed.append(describe(error))
     if failed:
@@ -206,19 +204,48 @@ def write_all(
         raise RuntimeError(f"{'; '.join(failed)}; the animation is kept in {kept}")
 
 
-def write(
-    animation: freetalk.Animation, output: Output, size: tuple[int, int], report: Report
-) -> None:
-    """Writes one requested result."""
-    if output.format in VIDEO_FORMATS:
-        from freetalk.viz.video import MAX_VIDEO_FPS, save_video
+def check_support(formats: set[str]) -> None:
+    """Makes sure, before long work, that what single formats need is installed.
 
-        save_video(animation, output.path, size=size, progress=not report.quiet)
+    Raises:
+        RuntimeError: it is not; the message says what to install.
+    """
+    if formats & set(VIDEO_FORMATS):
+        from freetalk.viz import check_video_support
+
+        check_video_support()
+    if formats & {"usd", "usdc", "usdz"}:
+        from freetalk.exports.usd import check_usd_support
+
+        check_usd_support()
+
+
+def write(
+    animation: freetalk.Animation,
+    output: Output,
+    arguments: argparse.Namespace,
+    report: Report,
+    rig: Any,
+) -> None:
+    """Writes one requested result and says what came of it."""
+    if output.format in VIDEO_FORMATS:
+        from freetalk.viz.video import MAX_VIDEO_FPS
+
+        options = {"size": arguments.size, "progress": not report.quiet}
+        animation.save(output.path, **options)
         if animation.fps > MAX_VIDEO_FPS:
             text = f"{output.path.name} shows {MAX_VIDEO_FPS:g} of its {animation.fps:g} frames a second"
             report.line("note", text, timed=False)
     elif output.is_folder:
         animation.save(output.path / f"*.{output.format}")
+    elif output.format in RIG_FORMATS:
+        output.path.parent.mkdir(parents=True, exist_ok=True)
+        chosen = {"compact": True} if arguments.compact else {}
+        made = animation.save(output.path, rig=rig, **chosen)
+        text = f"{output.path} {_size(output)}: {made.num_morph_targets} targets, "
+        text += f"within {made.morph_error_mm:.2f} mm"
+        report.line("wrote", text + (", into the mesh's own file" if made.into_source else ""))
+        return
     else:
         output.path.parent.mkdir(parents=True, exist_ok=True)
         animation.save(output.path)

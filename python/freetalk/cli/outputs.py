@@ -7,8 +7,13 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-ANIMATION_SUFFIXES = (".glb", ".gltf", ".html", ".npz", ".mp4", ".webm")
+ANIMATION_SUFFIXES = (
+    *(".glb", ".gltf", ".usda", ".usdc", ".usdz", ".usd", ".html", ".npz", ".pc2"),
+    *(".mp4", ".webm", ".csv", ".json"),
+)
 VIDEO_FORMATS = ("mp4", "webm")
+#: Morph targets and blend shapes, which --rig and --compact concern.
+RIG_FORMATS = ("glb", "gltf", "usda", "usdc", "usdz", "usd")
 FRAME_SUFFIXES = (".obj", ".ply")
 AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".mp3", ".m4a", ".aac", ".mp4", ".mov", ".webm")
 MESH_SUFFIXES = (".obj", ".ply", ".off", ".stl", ".gltf", ".glb")
@@ -20,7 +25,7 @@ class Output:
 
     Attributes:
         path: The file, or the folder of a mesh a frame.
-        format: ``glb``, ``gltf``, ``html``, ``npz``, ``mp4``, ``webm``, ``obj`` or ``ply``.
+        format: the extension in lower case, ``obj`` or ``ply`` for a folder.
     """
 
     path: Path

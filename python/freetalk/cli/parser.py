@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 from freetalk.cli import head
 from freetalk.cli import motion_options as motion
-from freetalk.cli.numbers import at_least_one, natural, picture_size, positive, seed
+from freetalk.cli.numbers import at_least_one, natural, positive, seed
 from freetalk.cli.score_options import add_evaluate, add_predict
 from freetalk.cli.weights import shipped_emotions
 
@@ -69,6 +69,7 @@ def make_parser() -> Parser:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     _add_animate(commands)
     _add_live(commands)
+    _add_convert(commands)
     _add_train(commands)
     predict = _command(commands, "predict", "predict:run", "write the motion that weights predict")
     add_predict(predict)
@@ -132,6 +133,8 @@ def _add_pretrained(parser: Parser) -> None:
 
 
 def _add_animate(commands: Any) -> None:
+    from freetalk.cli.convert import add_writing
+
     parser = _command(
         commands,
         "animate",
@@ -139,8 +142,10 @@ def _add_animate(commands: Any) -> None:
         "animate a face mesh with speech",
         description=(
             "Animates a face mesh of any topology with recorded speech. Outputs by name: talk.glb or "
-            "talk.gltf (morph targets), talk.html (a page that plays it in any browser), talk.npz (arrays), "
-            "talk.mp4 or talk.webm (rendered, with sound), and for one mesh a frame a folder: 'frames/' or 'frames/*.obj' (OBJ), 'frames/*.ply' (PLY). "
+            "talk.gltf (morph targets), talk.usda, talk.usdc or talk.usdz (blend shapes), talk.html (a page that plays "
+            "it in any browser), talk.npz (arrays), talk.mp4 or talk.webm (rendered, with sound), talk.pc2 (a cache "
+            "for Blender), talk.csv or talk.json (ARKit's weights, as Live Link Face and Audio2Face write them), and "
+            "for one mesh a frame a folder: 'frames/' or 'frames/*.obj' (OBJ), 'frames/*.ply' (PLY). "
             "An emotion is a name, a mixture 'happy:0.7,surprise:0.3', or keyframes "
             "'0=neutral; 2.5=happy:0.7,surprise:0.3@2.5' (SECONDS=EMOTION@INTENSITY, the intensity "
             "optional), between which it changes evenly. --audio and --mesh may be folders: every mesh speaks "
@@ -156,8 +161,8 @@ def _add_animate(commands: Any) -> None:
     mesh_help = "face: OBJ, PLY, OFF, STL, glTF, or a folder; without it the built-in mean face"
     parser.add_argument("--mesh", metavar="PATH", help=mesh_help)
     emotion_help = (
-        f"{', '.join(shipped_emotions())}, or whatever other weights name; a mixture; keyframes (see above); or "
-        "auto: that of the voice"
+        f"{', '.join(shipped_emotions())}, or whatever other weights name; a mixture, in which weights below 1 "
+        "leave the rest neutral; keyframes (see above); or auto: that of the voice"
     )
     parser.add_argument("--emotion", default="neutral", help=emotion_help)
     parser.add_argument("--intensity", type=at_least_one, metavar="X", help=_INTENSITY_HELP)
@@ -170,41 +175,25 @@ def _add_animate(commands: Any) -> None:
     motion.add_device(parser)
     out_help = "where to write; repeatable; for folders with {name} in it: 'talks/{name}.glb'"
     parser.add_argument("--out", action="append", required=True, metavar="PATH", help=out_help)
-    parser.add_argument("--size", type=picture_size, default="720x720", help="pixels of a video")
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    add_writing(parser)
+
+
+def _add_convert(commands: Any) -> None:
+    from freetalk.cli.convert import add_convert, add_writing
+
+    help_text = "turn an animation into other formats"
+    parser = _command(commands, "convert", "convert:run", help_text)
+    add_convert(parser)
+    _add_pretrained(parser)
+    add_writing(parser)
 
 
 def _add_live(commands: Any) -> None:
-    parser = _command(
-        commands,
-        "live",
-        "live:run",
-        "animate a face mesh while the speech is being spoken",
-        description=(
-            "Animates a face mesh with speech as it is spoken, about half a second behind it, and prints frames per "
-            "second and latency. The speech comes from the microphone, from a recording in its own time, or as "
-            "signed 16-bit mono samples at 16 kHz from a pipe: 'arecord -f S16_LE -r 16000 | freetalk live "
-            "--audio - --mesh face.obj'."
-        ),
-    )
-    source = parser.add_mutually_exclusive_group()
-    audio_help = "a recording, or '-' for samples on stdin; without it the microphone"
-    source.add_argument("--audio", metavar="FILE", help=audio_help)
-    source.add_argument("--mic", action="store_true", help="the microphone, which is the default")
-    to_help = "send frames: livelink://HOST:11111 (Unreal) or vmc://HOST:39539 (VRM); repeatable"
-    parser.add_argument("--to", action="append", default=[], metavar="ADDRESS", help=to_help)
-    mesh_help = "face: OBJ, PLY, OFF, STL, glTF; without it the built-in mean face"
-    parser.add_argument("--mesh", metavar="FILE", help=mesh_help)
-    parser.add_argument("--emotion", default="neutral", help="as of 'freetalk animate'")
-    parser.add_argument("--intensity", type=at_least_one, metavar="X", help=_INTENSITY_HELP)
-    motion.add_performance(parser)
-    parser.add_argument(
-        "--vertices", action="store_true", help="also compute the vertices of every frame"
-    )
-    precisions = ("float32", "bfloat16")
-    parser.add_argument(
-        "--precision", choices=precisions, default="float32", help="of the networks"
-    )
+    from freetalk.cli.live_options import add_live
+
+    help_text = "animate a face mesh while the speech is being spoken"
+    parser = _command(commands, "live", "live:run", help_text)
+    add_live(parser)
     _add_where(parser)
     _add_pretrained(parser)
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freetalk._files import write_text
+from freetalk.exports.expression import arkit_curves, find_landmarks
 from freetalk.page.document import render_page
-from freetalk.page.expression import arkit_curves, find_landmarks
 from freetalk.page.take import Phones, pack_take
 from freetalk.viz.sequence import as_sequence
 

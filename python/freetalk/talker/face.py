@@ -10,7 +10,7 @@ import torch
 
 from freetalk import _native
 from freetalk._progress import Progress, StageProgress
-from freetalk.animation import Animation
+from freetalk.animation import Animation, BlendShapes
 from freetalk.ats import Emotion, emotion_text
 from freetalk.audio import Audio, load_audio
 from freetalk.mesh import Mesh
@@ -172,8 +172,13 @@ class Face:
 
     def _finish(self, native: Any, options: AnimateOptions, out: torch.Tensor | None) -> Animation:
         if self._placement is None:
-            return Animation._wrap(native)
-        return self._placement.animation(native, self._report.alignment, out, options.scratch_dir)
+            animation = Animation._wrap(native)
+        else:
+            animation = self._placement.animation(
+                native, self._report.alignment, out, options.scratch_dir
+            )
+        animation._face = self
+        return animation
 
     def _performed(self, report: Any) -> Report:
         if self._placement is None:
@@ -194,6 +199,28 @@ class Face:
         """
         with StageProgress(progress, {"rig": 1.0}) as bar:
             return FaceRig(self._native.rig(bar.update))
+
+    def blend_shapes(
+        self, animation: Animation, *, progress: bool | Progress | None = None
+    ) -> BlendShapes:
+        """An animation of this face as ARKit's 51 shapes, for ``animation.save(path, rig=...)``.
+
+        Args:
+            animation: one that a face of this mesh made, so that it knows its landmarks.
+            progress: as for :meth:`rig`.
+
+        Returns:
+            Targets in the mesh's own unit and axes, and weights in [0, 1].
+
+        Raises:
+            ValueError: the animation holds no landmarks.
+            RuntimeError: as :meth:`rig`.
+        """
+        with StageProgress(progress, {"rig": 1.0}) as bar:
+            shapes = self._native.blend_shapes(animation._native, bar.update)
+        if self._placement is None:
+            return shapes
+        return BlendShapes(shapes.names, self._placement.spread(shapes.targets), shapes.weights)
 
     def live(self, *, emotion: Emotion = "neutral", **options: Any) -> Live:
         """A stream: speech in as it is spoken, frames out about half a second later.

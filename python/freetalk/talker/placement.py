@@ -165,6 +165,7 @@ class Placement:
             metres_per_unit=_UNITS.get(found.unit, pose.scale),
             to_y_up=self._axes()[2],
             head=self._in_mesh(native.head),
+            landmarks=native.landmarks,
         )
 
     def _in_mesh(self, head: torch.Tensor | None) -> torch.Tensor | None:

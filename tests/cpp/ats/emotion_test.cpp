@@ -29,6 +29,12 @@ TEST(ParseEmotion, NamesAliasesAndMixtures) {
   for (const char* bad : {"hungry", "happy:", "happy:-1", "happy:0", "", "happy:x", "happy:nan"}) {
     EXPECT_THROW(parse_emotion(bad, kEmotions), std::invalid_argument) << bad;
   }
+  EXPECT_TRUE(torch::equal(parse_emotion("Joy", kEmotions), parse_emotion("happy", kEmotions)));
+  EXPECT_TRUE(
+      torch::allclose(parse_emotion("happy:0.3", kEmotions), torch::tensor({0.7F, 0.3F, 0.0F})));
+  EXPECT_NE(message_of("happy:70").find("@INTENSITY"), std::string::npos);
+  EXPECT_NE(message_of("hapy").find("did you mean 'happy'"), std::string::npos);
+  EXPECT_NE(message_of("0=neutral, 2.5=happy").find("separated by ';'"), std::string::npos);
   try {
     parse_emotion("hungry", kEmotions);
     FAIL();

@@ -85,6 +85,10 @@ TEST(Alignment, KeepsToWhatIsGiven) {
   EXPECT_EQ(result.summary.rfind("given unit mm, +Y up, +Z forward; fit residual ", 0), 0u)
       << result.summary;
   EXPECT_LT(distance(result.to_canonical, known, shape.vertices), 2e-3);
+  options.up = options.forward = "auto";
+  const std::string partly =
+      "unit mm (given), +Y up (guessed), +Z forward (guessed); fit residual ";
+  EXPECT_EQ(align(shape, options).summary.rfind(partly, 0), 0u);
 }
 
 TEST(Alignment, NamesAScaleOfNoUnitArbitrary) {

@@ -47,12 +47,24 @@ def arkit_curves(
     Returns:
         (T,) float32 in [0, 1] by name; empty where no weights with poses are installed.
     """
-    if not _POSES.is_file():
-        return {}
     turn = sequence.upright_matrix[:3, :3].T.astype(np.float32)
     motion = sequence.displacements[:, np.asarray(landmarks)] @ turn
+    return landmark_curves(torch.from_numpy(np.ascontiguousarray(motion)))
+
+
+def landmark_curves(motion: torch.Tensor) -> dict[str, NDArray[Any]]:
+    """ARKit's weights that explain landmark motion.
+
+    Args:
+        motion: (T, 68, 3) float32 displacements, metres, canonical frame.
+
+    Returns:
+        As :func:`arkit_curves`.
+    """
+    if not _POSES.is_file():
+        return {}
     rig = _landmark_rig()
-    return rig.curves(rig.solve(torch.from_numpy(np.ascontiguousarray(motion))))
+    return rig.curves(rig.solve(motion))
 
 
 @lru_cache(maxsize=1)
