@@ -18,8 +18,6 @@ from freetalk.mesh import Mesh
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from freetalk.talker.face import Face
-
 BlendShapes = _native.animation.BlendShapes
 MeshFrame = _native.animation.MeshFrame
 SaveOptions = _native.animation.SaveOptions
@@ -84,13 +82,13 @@ class Animation:
             head=None if head is None else torch.as_tensor(head).detach(),
             landmarks=landmarks,
         )
-        self._face: Face | None = None
+        self._arkit_shapes: Callable[[Animation], BlendShapes] | None = None
 
     @classmethod
     def _wrap(cls, native: Any) -> Animation:
         animation = cls.__new__(cls)
         animation._native = native
-        animation._face = None
+        animation._arkit_shapes = None
         return animation
 
     @property
@@ -236,12 +234,12 @@ class Animation:
             return None
         if rig != "arkit":
             raise ValueError(f"rig is '{rig}': use 'pca', 'arkit' or blend shapes")
-        if self._face is None:
+        if self._arkit_shapes is None:
             raise ValueError(
                 "rig='arkit' needs the face that the animation was made on: "
                 "rig=talker.prepare(animation.mesh).blend_shapes(animation)"
             )
-        return self._face.blend_shapes(self)
+        return self._arkit_shapes(self)
 
     def on(self, mesh: Mesh) -> Animation:
         """The same motion on a mesh with the same vertices: to give it its file's materials again.

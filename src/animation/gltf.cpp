@@ -119,10 +119,10 @@ Grid grid_of(const Animation& animation, const BlendShapes& shapes, bool compact
   return grid;
 }
 
-/// Directions with components in [-1, 1] in 16 bits; others as they are.
-at::Tensor pack_directions(const at::Tensor& values, bool compact, bool& normalized) {
-  normalized = compact && values.abs().max().item<double>() <= 1.0;
-  return normalized ? (values * kSteps).round().to(at::kShort) : values;
+/// Numbers in [-1, 1] in 16 bits, or 8.
+at::Tensor pack_signed(const at::Tensor& values, at::ScalarType type) {
+  const double steps = type == at::kChar ? 127.0 : kSteps;
+  return (values.clamp(-1.0, 1.0) * steps).round().to(type);
 }
 
 /// (V, 4) linear uint16 of sRGB in [0, 1].
@@ -143,10 +143,9 @@ Json attributes_json(const Animation& animation, const mesh::Appearance& look,
   Json attributes;
   attributes["POSITION"] =
       buffer.add(rest.index_select(0, source), {"VEC3", kArrayBuffer, true, grid.compact});
-  bool normalized = false;
-  const auto normals = pack_directions(rest_normals, grid.compact, normalized);
+  const auto normals = grid.compact ? pack_signed(rest_normals, at::kShort) : rest_normals;
   attributes["NORMAL"] =
-      buffer.add(normals.index_select(0, source), {"VEC3", kArrayBuffer, false, normalized});
+      buffer.add(normals.index_select(0, source), {"VEC3", kArrayBuffer, false, grid.compact});
   if (!corners.texcoords.empty()) {
     attributes["TEXCOORD_0"] =
         buffer.add(at::tensor(corners.texcoords).view({-1, 2}), {"VEC2", kArrayBuffer});
@@ -168,11 +167,10 @@ Json targets_json(const BlendShapes& shapes, const MorphNormals& normals, const 
     target["POSITION"] =
         buffer.add(moved.index_select(0, source), {"VEC3", kArrayBuffer, true, grid.compact});
     if (with_normals) {
-      bool normalized = false;
-      const auto turned =
-          pack_directions(normals.derivative(shapes.targets[k]), grid.compact, normalized);
+      auto turned = normals.derivative(shapes.targets[k]);
+      if (grid.compact) turned = pack_signed(turned, at::kChar);  // light shows no finer steps
       target["NORMAL"] =
-          buffer.add(turned.index_select(0, source), {"VEC3", kArrayBuffer, false, normalized});
+          buffer.add(turned.index_select(0, source), {"VEC3", kArrayBuffer, false, grid.compact});
     }
     targets.push_back(std::move(target));
   }

@@ -12,6 +12,8 @@ namespace {
 
 int component_of(at::ScalarType type) {
   switch (type) {
+    case at::kChar:
+      return 5120;
     case at::kByte:
       return 5121;
     case at::kShort:

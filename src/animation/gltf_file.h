@@ -29,8 +29,8 @@ class GltfBuffer {
  public:
   Json views = Json::array(), accessors = Json::array();
 
-  /// Adds an accessor over `data` (N, W) of float32, int32 (as uint32), int16, uint16 or uint8.
-  /// Rows begin at multiples of four bytes. @return its index.
+  /// Adds an accessor over `data` (N, W) of float32, int32 (as uint32), int16, uint16, int8 or
+  /// uint8. Rows begin at multiples of four bytes. @return its index.
   int add(const at::Tensor& data, const GltfLayout& layout);
   /// Adds a view of any bytes. @return its index.
   int add_bytes(const std::string& bytes);

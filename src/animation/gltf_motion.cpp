@@ -132,8 +132,8 @@ Tracks read_tracks(const GltfDocument& document, const std::vector<GltfPart>& pa
       if (path == "rotation") tracks.turn = read_track(document, samplers[sampler], 4);
       if (path == "translation") tracks.shift = read_track(document, samplers[sampler], 3);
     }
-    const bool fits = (!tracks.turn || tracks.turn->width == 4) &&
-                      (!tracks.shift || tracks.shift->width == 3);
+    const bool fits =
+        (!tracks.turn || tracks.turn->width == 4) && (!tracks.shift || tracks.shift->width == 3);
     if (!fits) document.fail("has an animation that is damaged; export it again");
     if (!tracks.empty()) return tracks;
   }
@@ -201,9 +201,9 @@ Animation read_motion(const std::filesystem::path& path, double wanted) {
   std::map<int64_t, std::set<int>> done;  // first vertices by node: primitives may share them
   for (const GltfPart& part : parts) {
     const auto track = tracks.weights.find(part.node);
-    if (track == tracks.weights.end() || !done[part.node].insert(part.first_vertex).second) continue;
-    const auto weights =
-        at::empty({frames, static_cast<int64_t>(track->second.width)}, at::kFloat);
+    if (track == tracks.weights.end() || !done[part.node].insert(part.first_vertex).second)
+      continue;
+    const auto weights = at::empty({frames, static_cast<int64_t>(track->second.width)}, at::kFloat);
     for (int64_t t = 0; t < frames; ++t) {
       weights[t].copy_(at::tensor(track->second.at(static_cast<double>(t) / animation.fps)));
     }

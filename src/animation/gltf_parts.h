@@ -21,8 +21,8 @@ void use_extension(Json& root, const char* list, const char* name);
 
 /// The file that the mesh was read from with the motion added; nodes, skins, materials, textures
 /// and other animations stay; where the head moves, a node "head" carries what was in the scene but
-/// lamps and cameras. @return false, having written nothing, where that file is no glTF with a scene
-/// or no longer what the mesh was read from.
+/// lamps and cameras. @return false, having written nothing, where that file is no glTF with a
+/// scene or no longer what the mesh was read from.
 bool save_into_source(const std::filesystem::path& path, const Animation& animation,
                       const BlendShapes& shapes, const SaveOptions& options, SaveReport& report);
 

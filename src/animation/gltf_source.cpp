@@ -87,8 +87,7 @@ class MotionInto {
     for (const GltfPart& part : parts) nodes[part.node].push_back(part);
     for (const auto& [node, own] : nodes) {
       const auto moving = [&](const GltfPart& part) {
-        return part.node >= 0 &&
-               moved.slice(0, part.first_vertex, end_of(part)).any().item<bool>();
+        return part.node >= 0 && moved.slice(0, part.first_vertex, end_of(part)).any().item<bool>();
       };
       if (std::any_of(own.begin(), own.end(), moving)) add_node(node, own);
     }

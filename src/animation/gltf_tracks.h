@@ -17,13 +17,12 @@ class GltfTracks {
 
   /// @param values (T, K) float32. @param type of the accessor, "SCALAR" for weights.
   void add(int64_t node, const char* path, const at::Tensor& values, const char* type);
-  /// Rotation and translation of the head. @param frame from the mesh's unit and axes to the file's.
+  /// Rotation and translation of the head. @param frame from the mesh's unit and axes to the
+  /// file's.
   void add_head(int64_t node, const MeshFrame& frame);
 
   bool empty() const { return channels_.empty(); }
-  Json json() const {
-    return {{"name", "talk"}, {"samplers", samplers_}, {"channels", channels_}};
-  }
+  Json json() const { return {{"name", "talk"}, {"samplers", samplers_}, {"channels", channels_}}; }
 
  private:
   GltfBuffer& buffer_;

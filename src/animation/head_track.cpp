@@ -6,7 +6,7 @@
 namespace freetalk::animation {
 namespace {
 
-using Pose = Eigen::Matrix<double, 4, 4, Eigen::RowMajor>;
+using HeadMatrix = Eigen::Matrix<double, 4, 4, Eigen::RowMajor>;
 
 }  // namespace
 
@@ -16,7 +16,7 @@ HeadTrack head_track(const at::Tensor& head, const MeshFrame& frame) {
   const Eigen::Matrix3d& up = frame.to_y_up;
   Eigen::Vector4d before = Eigen::Quaterniond::Identity().coeffs();
   for (int64_t t = 0; t < frames; ++t) {
-    const Pose pose = Eigen::Map<const Pose>(head.const_data_ptr<double>() + 16 * t);
+    const HeadMatrix pose = Eigen::Map<const HeadMatrix>(head.const_data_ptr<double>() + 16 * t);
     const Eigen::Matrix3d turn = up * pose.topLeftCorner<3, 3>() * up.transpose();
     Eigen::Vector4d coefficients = Eigen::Quaterniond(turn).coeffs();
     if (coefficients.dot(before) < 0) coefficients = -coefficients;  // the same turn, the short way
@@ -30,7 +30,7 @@ HeadTrack head_track(const at::Tensor& head, const MeshFrame& frame) {
 
 at::Tensor head_pose(const double* turn, const double* shift) {
   const at::Tensor result = at::empty({4, 4}, at::kDouble);
-  Eigen::Map<Pose> pose(result.data_ptr<double>());
+  Eigen::Map<HeadMatrix> pose(result.data_ptr<double>());
   pose.setIdentity();
   const Eigen::Quaterniond quaternion(turn[3], turn[0], turn[1], turn[2]);
   pose.topLeftCorner<3, 3>() = quaternion.normalized().toRotationMatrix();

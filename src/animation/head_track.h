@@ -8,7 +8,8 @@
 namespace freetalk::animation {
 
 struct HeadTrack {
-  at::Tensor turns;   ///< (T, 4) float32 quaternions x, y, z, w, each the near one of two to the last
+  at::Tensor
+      turns;  ///< (T, 4) float32 quaternions x, y, z, w, each the near one of two to the last
   at::Tensor shifts;  ///< (T, 3) float32
 };
 

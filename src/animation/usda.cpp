@@ -316,8 +316,7 @@ class Layer {
     text_ << "    def SpatialAudio \"Speech\"\n    {\n        uniform token auralMode = "
           << "\"nonSpatial\"\n        uniform asset filePath = @./"
           << sound_beside(path_).filename().string()
-          << "@\n        uniform token playbackMode = \"onceFromStart\"\n"
-          << "        uniform timecode startTime = 0\n    }\n";
+          << "@\n        uniform token playbackMode = \"onceFromStart\"\n    }\n";
   }
 
   UsdText text_;

@@ -63,7 +63,7 @@ def test_every_output_is_written_at_once(
     assert "guessed unit cm" in printed
     for name in ("talk.npz", "talk.glb", "talk.html", "talk.mp4", "frames/", "meshes/"):
         assert name in printed
-    expected = {"deep", "talk.glb", "talk.html", "talk.mp4", "frames", "meshes"}
+    expected = {"deep", "talk.glb", "talk.speech.wav", "talk.html", "talk.mp4", "frames", "meshes"}
     assert {entry.name for entry in tmp_path.iterdir()} == expected
     assert len(list((tmp_path / "frames").glob("*.ply"))) == 5
     assert len(list((tmp_path / "meshes").glob("*.obj"))) == 5
@@ -78,10 +78,10 @@ def test_one_output_that_fails_loses_none_of_the_others(
 ) -> None:
     save = ft.Animation.save
 
-    def full_disk(animation: ft.Animation, path: Path) -> object:
+    def full_disk(animation: ft.Animation, path: Path, **options: object) -> object:
         if Path(path).suffix == ".glb":
             raise RuntimeError(f"{path}: no space left on device")
-        return save(animation, path)
+        return save(animation, path, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(ft.Animation, "save", full_disk)
     outputs = ["--out", tmp_path / "a.glb", "--out", tmp_path / "b.npz"]

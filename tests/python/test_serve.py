@@ -155,7 +155,7 @@ def test_a_take_is_made_and_kept(client: TestClient, take: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "starts"),
-    [("glb", b"glTF"), ("npz", b"PK"), ("html", b"<!doctype"), ("obj", b"PK")],
+    [("glb", b"glTF"), ("npz", b"PK"), ("html", b"<!doctype"), ("obj", b"PK"), ("usda", b"PK")],
 )
 def test_takes_are_downloaded(client: TestClient, take: str, name: str, starts: bytes) -> None:
     answer = client.post(f"takes/{take}/exports", params={"client": "me"}, json={"format": name})

@@ -105,8 +105,8 @@ struct Animation {
 Animation load_npz(const std::filesystem::path& path);
 
 /// Reads the animation of morph targets of a .glb or .gltf, of ours or any, with embedded sound if
-/// it is ours; what a node that carries the whole mesh does is the head's motion. Vertices are those
-/// of load_mesh: in the scene's metres and axes.
+/// it is ours; what a node that carries the whole mesh does is the head's motion. Vertices are
+/// those of load_mesh: in the scene's metres and axes.
 /// @param fps of the result; 0: that of our files, 30 for others.
 /// @throws std::runtime_error naming the file when it can't be read or nothing moves in it.
 Animation load_gltf(const std::filesystem::path& path, double fps = 0.0);

@@ -1,4 +1,5 @@
 from __future__ import annotations
+import collections.abc
 import freetalk._native.audio
 import freetalk._native.mesh
 import numpy
@@ -9,6 +10,7 @@ import typing
 
 __all__: list[str] = [
     "Animation",
+    "BlendShapes",
     "MeshFrame",
     "Part",
     "PartMotion",
@@ -16,7 +18,10 @@ __all__: list[str] = [
     "SaveOptions",
     "SaveReport",
     "fit_jaw",
+    "load_gltf",
     "load_npz",
+    "load_pc2",
+    "load_sequence",
     "morph_basis",
     "resample_motion",
 ]
@@ -37,15 +42,39 @@ class SaveReport:
     """
     What was written.
     """
+
+    format: str
     def __init__(self, format: str) -> None: ...
     @property
-    def format(self) -> str: ...
+    def into_source(self) -> bool: ...
     @property
     def morph_error_mm(self) -> float: ...
     @property
     def num_files(self) -> int: ...
+    @num_files.setter
+    def num_files(self, arg0: typing.SupportsInt | typing.SupportsIndex) -> None: ...
     @property
     def num_morph_targets(self) -> int: ...
+
+class BlendShapes:
+    """
+    Named targets and their weights over time.
+    """
+    def __init__(
+        self, names: collections.abc.Sequence[str], targets: torch.Tensor, weights: torch.Tensor
+    ) -> None: ...
+    @property
+    def names(self) -> list[str]: ...
+    @property
+    def targets(self) -> torch.Tensor:
+        """
+        (K, V, 3) float32, mesh's unit.
+        """
+    @property
+    def weights(self) -> torch.Tensor:
+        """
+        (T, K) float32 in [0, 1].
+        """
 
 class SaveOptions:
     """
@@ -53,9 +82,12 @@ class SaveOptions:
     """
 
     __hash__: typing.ClassVar[None] = None
+    compact: typing.Any
     format: typing.Any
     max_morph_targets: typing.Any
     morph_tolerance_mm: typing.Any
+    normals: typing.Any
+    sound: typing.Any
     @staticmethod
     def from_dict(arg0: dict) -> SaveOptions:
         """
@@ -88,8 +120,15 @@ class Animation:
         metres_per_unit: typing.SupportsFloat | typing.SupportsIndex = 1.0,
         to_y_up: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 3]"] = ...,
         head: torch.Tensor | None = None,
+        landmarks: torch.Tensor | None = None,
     ) -> None: ...
-    def save(self, path: os.PathLike | str | bytes, options: SaveOptions = ...) -> SaveReport: ...
+    def save(
+        self,
+        path: os.PathLike | str | bytes,
+        options: SaveOptions = ...,
+        shapes: BlendShapes = ...,
+        progress: collections.abc.Callable[[float], None] | None = None,
+    ) -> SaveReport: ...
     def vertices_at(
         self, frame_index: typing.SupportsInt | typing.SupportsIndex
     ) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]: ...
@@ -110,6 +149,11 @@ class Animation:
     def head(self) -> torch.Tensor | None:
         """
         (T, 4, 4) float64 rigid motion of the mesh, None without.
+        """
+    @property
+    def landmarks(self) -> torch.Tensor | None:
+        """
+        (T, 68, 3) float32, metres, canonical frame; None where not known.
         """
     @property
     def mesh(self) -> freetalk._native.mesh.Mesh: ...
@@ -192,7 +236,18 @@ def fit_jaw(
         typing.Annotated[numpy.typing.NDArray[numpy.float64], "[3, 1]"],
     ]
 ]: ...
+def load_gltf(
+    path: os.PathLike | str | bytes, fps: typing.SupportsFloat | typing.SupportsIndex = 0.0
+) -> Animation: ...
 def load_npz(path: os.PathLike | str | bytes) -> Animation: ...
+def load_pc2(
+    path: os.PathLike | str | bytes,
+    mesh: freetalk._native.mesh.Mesh,
+    fps: typing.SupportsFloat | typing.SupportsIndex = 30.0,
+) -> Animation: ...
+def load_sequence(
+    folder: os.PathLike | str | bytes, fps: typing.SupportsFloat | typing.SupportsIndex = 30.0
+) -> Animation: ...
 def morph_basis(
     displacements: torch.Tensor,
     tolerance: typing.SupportsFloat | typing.SupportsIndex,

@@ -3,6 +3,7 @@ import collections.abc
 import numpy
 import numpy.typing
 import os
+import pathlib
 import typing
 
 __all__: list[str] = [
@@ -63,6 +64,13 @@ class Mesh:
         """
         Vertex indices of each polygon as in the file; empty if all are triangles.
         """
+    @property
+    def source(self) -> pathlib.Path:
+        """
+        The file it was read from, whose materials writers keep; empty without.
+        """
+    @source.setter
+    def source(self, arg0: os.PathLike | str | bytes) -> None: ...
     @property
     def texcoords(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
         """

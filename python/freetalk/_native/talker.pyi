@@ -190,6 +190,11 @@ class Face:
         progress: collections.abc.Callable[[str, float], None] | None = None,
         out: torch.Tensor | None = None,
     ) -> tuple[list[freetalk._native.animation.Animation], Report]: ...
+    def blend_shapes(
+        self,
+        animation: freetalk._native.animation.Animation,
+        progress: collections.abc.Callable[[str, float], None] | None = None,
+    ) -> freetalk._native.animation.BlendShapes: ...
     def rig(
         self, progress: collections.abc.Callable[[str, float], None] | None = None
     ) -> freetalk._native.rig.FaceRig: ...

@@ -240,8 +240,7 @@ def write(
         animation.save(output.path / f"*.{output.format}")
     elif output.format in RIG_FORMATS:
         output.path.parent.mkdir(parents=True, exist_ok=True)
-        chosen = {"compact": True} if arguments.compact else {}
-        made = animation.save(output.path, rig=rig, **chosen)
+        made = animation.save(output.path, rig=rig, compact=arguments.compact)
         text = f"{output.path} {_size(output)}: {made.num_morph_targets} targets, "
         text += f"within {made.morph_error_mm:.2f} mm"
         report.line("wrote", text + (", into the mesh's own file" if made.into_source else ""))

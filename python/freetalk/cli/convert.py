@@ -6,7 +6,7 @@ import argparse
 from typing import Any
 
 from freetalk.cli.animate import Report, write
-from freetalk.cli.numbers import picture_size
+from freetalk.cli.numbers import picture_size, positive
 from freetalk.cli.outputs import check_readable, parse_outputs
 from freetalk.cli.weights import find_weights
 
@@ -21,7 +21,9 @@ def add_convert(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("outputs", metavar="TO", nargs="+", help="where to write, as for animate")
     mesh_help = "the mesh that a .pc2 moves, or whose materials a .npz is to have again"
     parser.add_argument("--mesh", metavar="FILE", help=mesh_help)
-    parser.add_argument("--fps", type=float, help="of a .pc2 or a folder (30); to sample a glTF at")
+    parser.add_argument(
+        "--fps", type=positive, help="of a .pc2 or a folder (30); to sample a glTF at"
+    )
 
 
 def add_writing(parser: argparse.ArgumentParser) -> None:

@@ -2,7 +2,7 @@
 
 Unreal's Live Link Face importer and Faceit read the CSV: a time code HH:MM:SS:FF.mmm, the number of values, ARKit's
 52 shapes in the order of the app's files (jawRight before jawLeft, mouthRight before mouthLeft; the wire has them the
-other way round), then nine rotations, which stay zero.
+other way round), then nine rotations. These stay zero, the head's too: programs disagree on their unit and signs.
 """
 
 from __future__ import annotations
@@ -105,12 +105,18 @@ def save_curves(
         raise ValueError(f"'{path}': ARKit's weights are written as .csv, .json or .npz")
 
 
-def load_curves(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[np.float32]], float]:
+def load_curves(
+    path: str | os.PathLike[str], *, fps: float | None = None
+) -> tuple[dict[str, NDArray[np.float32]], float]:
     """Reads what :func:`save_curves` wrote, and takes of Live Link Face.
 
+    Args:
+        path: ``.csv``, ``.json`` or ``.npz``.
+        fps: frames per second, in place of what the file says. A CSV says it only by how many frames its time codes
+            count in a second: of a take in which no second ends it is 30, or 60 where more than 30 frames are counted.
+
     Returns:
-        (T,) float32 by ARKit's names, rotations left out; and frames per second. A CSV does not say its rate: it is
-        the one at which its time codes count frames, 60 where they leave that open.
+        (T,) float32 by ARKit's names, rotations left out; and frames per second.
 
     Raises:
         ValueError: another extension or content.
@@ -118,19 +124,24 @@ def load_curves(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[np.floa
     file = Path(path)
     suffix = file.suffix.lower()
     try:
-        if suffix == ".csv":
-            return _parse_csv(file.read_text(encoding="utf-8"))
-        if suffix == ".json":
-            content = json.loads(file.read_text(encoding="utf-8"))
-            weights = np.asarray(content["weightMat"], np.float32)
-            return dict(zip(content["facsNames"], weights.T)), float(content["exportFps"])
-        if suffix == ".npz":
-            with np.load(file, allow_pickle=False) as data:
-                columns = data["weights"].astype(np.float32).T
-                return dict(zip(data["names"].tolist(), columns)), float(data["fps"])
+        curves, own_fps = _read(file, suffix)
     except (KeyError, TypeError, IndexError, json.JSONDecodeError) as error:
         raise ValueError(f"'{path}' holds no ARKit weights: {error}") from error
-    raise ValueError(f"'{path}' holds no ARKit weights: give .csv, .json or .npz")
+    return curves, own_fps if fps is None else fps
+
+
+def _read(file: Path, suffix: str) -> tuple[dict[str, NDArray[np.float32]], float]:
+    if suffix == ".csv":
+        return _parse_csv(file.read_text(encoding="utf-8"))
+    if suffix == ".json":
+        content = json.loads(file.read_text(encoding="utf-8"))
+        weights = np.asarray(content["weightMat"], np.float32)
+        return dict(zip(content["facsNames"], weights.T)), float(content["exportFps"])
+    if suffix == ".npz":
+        with np.load(file, allow_pickle=False) as data:
+            columns = data["weights"].astype(np.float32).T
+            return dict(zip(data["names"].tolist(), columns)), float(data["fps"])
+    raise ValueError(f"'{file}' holds no ARKit weights: give .csv, .json or .npz")
 
 
 def _csv(curves: Curves, fps: float) -> str:
@@ -189,5 +200,5 @@ def _parse_csv(text: str) -> tuple[dict[str, NDArray[np.float32]], float]:
         if whole[k + 1] == whole[k] + 1 and whole[k] == whole[k - 1]
     ]
     step = float(np.median(np.diff(frames))) if len(frames) > 1 else 1.0
-    counted = float(np.median(ends)) if ends else 60.0
+    counted = float(np.median(ends)) if ends else 30.0 if max(frames) < 30 else 60.0
     return curves, round(counted / max(step, 1e-3), 3)

@@ -21,8 +21,8 @@ from freetalk.serve.uploads import Limits, Refused, plain_name, read_mesh, read_
 from freetalk.talker import Face, Talker
 from freetalk.viz.sequence import as_sequence
 
-#: Endings of downloads; of a mesh a frame, one archive.
-FORMATS = ("glb", "npz", "html", "mp4", "obj", "ply")
+#: Endings of downloads; of those that are several files, one archive.
+FORMATS = ("glb", "usda", "pc2", "npz", "html", "mp4", "csv", "json", "obj", "ply")
 _PREPARED = 3
 _LONGEST_EMOTION = 2000
 
@@ -262,11 +262,12 @@ def performance_options(wish: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_export(animation: Animation, folder: Path, format_name: str, name: str) -> Path:
-    """Writes an animation into a folder of its own; meshes of frames become one archive."""
+    """Writes an animation into a folder of its own; several files become one archive."""
     stem = "".join(sign if sign.isalnum() else "_" for sign in name).strip("_")
     stem = f"{'_'.join(part for part in stem.split('_') if part) or 'take'}_{secrets.token_hex(3)}"
-    if format_name in ("obj", "ply"):
-        animation.save(folder / stem / f"*.{format_name}")
+    if format_name in ("obj", "ply", "usda"):
+        (folder / stem).mkdir()
+        animation.save(folder / stem / f"{stem if format_name == 'usda' else '*'}.{format_name}")
         return Path(shutil.make_archive(str(folder / stem), "zip", folder / stem))
     path = folder / f"{stem}.{format_name}"
     animation.save(path)

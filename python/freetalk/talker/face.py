@@ -177,7 +177,7 @@ class Face:
             animation = self._placement.animation(
                 native, self._report.alignment, out, options.scratch_dir
             )
-        animation._face = self
+        animation._arkit_shapes = self.blend_shapes
         return animation
 
     def _performed(self, report: Any) -> Report:

@@ -205,7 +205,7 @@ TEST_F(TalkerTest, AcceptsAliasesAndMixtures) {
   auto wanted = options();
   wanted.emotion = "fear";
   const auto alias = talker.animate(hum(0.3), mesh, wanted);
-  wanted.emotion = "afraid:2";
+  wanted.emotion = "afraid:1";
   EXPECT_TRUE(at::equal(talker.animate(hum(0.3), mesh, wanted).displacements, alias.displacements));
   wanted.emotion = "happy:0.7,sad:0.3";
   EXPECT_FALSE(
