@@ -164,7 +164,10 @@ class Trainer:
         self.optimizer.zero_grad(set_to_none=True)
         passes = [self._pass(draws, batches, number) for number in range(len(batches))]
         norm = self.engine.clip(self.task.model.parameters(), self.options.grad_clip or math.inf)
-        self._names = list(passes[0])
+        names = list(passes[0])
+        if self._unread and names != self._names:  # a stage with other terms has begun
+            self._read(draws)
+        self._names = names
         means = [torch.stack([found[name] for found in passes]).mean() for name in self._names]
         found = torch.stack([*means, norm.detach()]).float()
         if not self.options.fp16:

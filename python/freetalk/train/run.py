@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,9 @@ from freetalk.train.loop import Trainer
 from freetalk.train.progress import is_main_process
 from freetalk.train.task import Task, TrainingResult
 from freetalk.viz import check_video_support
+
+# glibc's malloc.h, and the largest value that mallopt takes.
+_M_TRIM_THRESHOLD, _M_MMAP_MAX, _MOST = -1, -4, 2**31 - 1
 
 
 def run(
@@ -79,6 +83,8 @@ def train_dataset(
     engine = Engine(config.loop)
     if config.loop.threads > 0:
         torch.set_num_threads(config.loop.threads)
+    if engine.device.type == "cpu":
+        _keep_memory()
     if config.loop.render_every > 0 and engine.is_main:
         check_video_support()
     with engine.main_first():
@@ -89,6 +95,18 @@ def train_dataset(
     if engine.is_main:
         _write_run_record(out, config, data, corpus)
     return trainer.run()
+
+
+def _keep_memory() -> None:
+    """Lets glibc keep the large buffers that a step frees.
+
+    As it is, they go back to the system, which gives each page of the next step's anew: half of the time of some
+    trainings. Elsewhere nothing changes.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(_M_MMAP_MAX, 0)
+        mallopt(_M_TRIM_THRESHOLD, _MOST)
 
 
 def make_task(config: TrainingConfig, corpus: Dataset, out: Path, device: torch.device) -> Task:
