@@ -41,10 +41,6 @@ int64_t component_bytes(int64_t component) {
   }
 }
 
-int64_t type_width(const std::string& type) {
-  return type == "SCALAR" ? 1 : type == "VEC2" ? 2 : type == "VEC3" ? 3 : type == "VEC4" ? 4 : 0;
-}
-
 template <class T>
 T read_at(std::string_view bytes, size_t offset) {
   T value;
@@ -103,6 +99,10 @@ std::string decode_percent(std::string_view text) {
 
 }  // namespace
 
+int64_t type_width(const std::string& type) {
+  return type == "SCALAR" ? 1 : type == "VEC2" ? 2 : type == "VEC3" ? 3 : type == "VEC4" ? 4 : 0;
+}
+
 GltfDocument::GltfDocument(const std::filesystem::path& path, const std::string& bytes)
     : path_(path) {
   constexpr size_t kHeader = 12, kChunkHeader = 8;
@@ -110,6 +110,7 @@ GltfDocument::GltfDocument(const std::filesystem::path& path, const std::string&
   if (bytes.compare(0, 4, "glTF") != 0) {
     parse(bytes);
     load_buffers({});
+    unpack();
     return;
   }
   if (bytes.size() < kHeader + kChunkHeader) fail(kDamaged);
@@ -127,11 +128,14 @@ GltfDocument::GltfDocument(const std::filesystem::path& path, const std::string&
   }
   parse(text);
   load_buffers(binary);
+  unpack();
 }
 
 void GltfDocument::fail(const std::string& problem) const {
   throw std::runtime_error("mesh file " + path_.string() + " " + problem);
 }
+
+void GltfDocument::fail_damaged() const { fail(kDamaged); }
 
 void GltfDocument::parse(std::string_view text) {
   root_ = json::parse(text.begin(), text.end(), nullptr, false);
@@ -223,16 +227,23 @@ std::string_view GltfDocument::view(int64_t index, int64_t offset) const {
   const json& views = list("bufferViews");
   if (index >= static_cast<int64_t>(views.size())) fail(kDamaged);
   const json& view = views[static_cast<size_t>(index)];
-  if (view.contains("extensions") && view["extensions"].contains("EXT_meshopt_compression")) {
-    fail("is compressed with meshopt, which is not read; export it without compression");
-  }
-  const auto& bytes = buffers_[static_cast<size_t>(this->index(view, "buffer", buffers_.size()))];
+  const std::string_view bytes = bytes_of(view);
+  if (offset > static_cast<int64_t>(bytes.size())) fail(kDamaged);
+  return bytes.substr(static_cast<size_t>(offset));
+}
+
+std::string_view GltfDocument::bytes_of(const json& view) const {
+  const auto& bytes = buffers_[static_cast<size_t>(index(view, "buffer", buffers_.size()))];
   const auto size = static_cast<int64_t>(bytes.size());
   const int64_t start = whole(view, "byteOffset", 0);
   const int64_t length = whole(view, "byteLength");
-  if (start > size || length > size - start || offset > length) fail(kDamaged);
-  return std::string_view(bytes).substr(static_cast<size_t>(start + offset),
-                                        static_cast<size_t>(length - offset));
+  if (start > size || length > size - start) fail(kDamaged);
+  return std::string_view(bytes).substr(static_cast<size_t>(start), static_cast<size_t>(length));
+}
+
+void GltfDocument::add_buffer(std::string bytes) {
+  root_["buffers"].push_back({{"byteLength", bytes.size()}});
+  buffers_.push_back(std::move(bytes));
 }
 
 std::string GltfDocument::view_bytes(int64_t index) const { return std::string(view(index, 0)); }

@@ -58,7 +58,18 @@ class GltfDocument {
     bool normalized = false;
   };
 
+  [[noreturn]] void fail_damaged() const;
   void parse(std::string_view text);
+  /// Replaces compressed views and primitives by plain ones (gltf_compression.cpp).
+  void unpack();
+  void unpack_view(nlohmann::json& view);
+  void unpack_primitive(nlohmann::json& primitive);
+  nlohmann::json& accessor_to_fill(const nlohmann::json& index);
+  void fill(nlohmann::json& accessor, std::string bytes);
+  /// The next of the document's buffers, which JSON and bytes both list.
+  void add_buffer(std::string bytes);
+  /// The part of a buffer that a view, or a compressed one, spans.
+  std::string_view bytes_of(const nlohmann::json& view) const;
   void load_buffers(std::string_view binary_chunk);
   std::string_view view(int64_t index, int64_t offset) const;
   const nlohmann::json& accessor_at(int64_t index) const;
@@ -73,5 +84,8 @@ class GltfDocument {
   nlohmann::json root_;
   std::vector<std::string> buffers_;
 };
+
+/// Numbers in an element of an accessor of this type ("VEC3": 3); 0 for an unknown one.
+int64_t type_width(const std::string& type);
 
 }  // namespace freetalk::mesh

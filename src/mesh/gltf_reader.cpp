@@ -124,10 +124,6 @@ class GltfScene {
 
   void add_primitive(const json& primitive, const Eigen::Affine3d& placement, Rows& rows,
                      GltfPart part) {
-    const json& extensions = primitive.value("extensions", json::object());
-    if (extensions.contains("KHR_draco_mesh_compression")) {
-      fail("is compressed with Draco, which is not read; export it without compression");
-    }
     const int64_t mode = document_.whole(primitive, "mode", kTriangles);
     if (mode < kTriangles) {
       ++mesh_.lines_and_points;

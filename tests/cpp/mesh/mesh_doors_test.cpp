@@ -159,8 +159,8 @@ TEST(Gltf, NamesFileAndRemedyForBadInput) {
     problem(square.glb(), part);
   };
   const std::string primitive = "/meshes/0/primitives/0";
-  changed(primitive + "/extensions/KHR_draco_mesh_compression", json::object(), "Draco");
-  changed("/bufferViews/0/extensions/EXT_meshopt_compression", json::object(), "meshopt");
+  changed(primitive + "/extensions/KHR_draco_mesh_compression", json::object(), "damaged");
+  changed("/bufferViews/0/extensions/EXT_meshopt_compression", json::object(), "damaged");
   changed("/asset/version", "1.0", "version 2");
   changed("/accessors/0/count", 5, "cut short");
   changed("/accessors/0/count", 4000000000u, "cut short");
