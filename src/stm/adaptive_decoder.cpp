@@ -62,10 +62,15 @@ std::vector<Errors> errors_of(const at::Tensor& found, const at::Tensor& exact) 
   return result;
 }
 
+/// What of an error is the interpolation's, where the decoder's rounding is on both sides of it.
+double beyond(double error, double rounding) {
+  return std::sqrt(std::max(error * error - rounding * rounding, 0.0));
+}
+
 /// A clip, the frames decoded so far and what they say about the others.
 class Clip {
  public:
-  Clip(const FrameDecoder& decoder, const at::Tensor& landmarks, const AdaptiveOptions& options)
+  Clip(const LandmarkDecoder& decoder, const at::Tensor& landmarks, const AdaptiveOptions& options)
       : decoder_(&decoder.fastest()), landmarks_(landmarks), interpolation_(points(landmarks)) {
     for (int64_t n = 0; n < kFirst; ++n) interpolation_.add(interpolation_.most_doubtful());
     fields_ = decode(0);
@@ -107,9 +112,11 @@ class Clip {
     Errors found;
     for (size_t k = 0; k < checked.size(); ++k) {
       const size_t part = static_cast<int64_t>(k) < num_spread ? 0 : 1;
-      errors_sum[part] += errors[k].mean;
+      errors_sum[part] += beyond(errors[k].mean, rounding_.mean);
       doubts[part] += doubt[checked[k]];
-      if (part == 1) found.largest = std::max(found.largest, errors[k].largest / doubt[checked[k]]);
+      if (part == 0) continue;
+      found.largest =
+          std::max(found.largest, beyond(errors[k].largest, rounding_.largest) / doubt[checked[k]]);
     }
     const auto ratio = [&](size_t part) {
       return doubts[part] > 0 ? errors_sum[part] / doubts[part] : 0.0;
@@ -186,7 +193,7 @@ class Clip {
 
   at::Tensor decode(int64_t from) const { return decoder_->decode(frames(from)); }
 
-  const FrameDecoder* decoder_;
+  const LandmarkDecoder* decoder_;
   at::Tensor landmarks_, fields_;  // (T, 68, 3), (n, V, 3)
   geometry::GreedyInterpolation interpolation_;
   Errors rounding_, last_, for_doubt_;  // of the decoder; for each unit of doubt
@@ -200,7 +207,7 @@ void AdaptiveOptions::check() const {
                  tolerance_mean);
 }
 
-void decode_adaptively(const FrameDecoder& decoder, const at::Tensor& landmarks,
+void decode_adaptively(const LandmarkDecoder& decoder, const at::Tensor& landmarks,
                        const std::function<void(int64_t, const at::Tensor&)>& sink,
                        const AdaptiveOptions& options, AdaptiveReport* report,
                        const std::function<void(double)>& progress) {
@@ -244,7 +251,7 @@ void decode_adaptively(const FrameDecoder& decoder, const at::Tensor& landmarks,
   });
 }
 
-at::Tensor decode_adaptively(const FrameDecoder& decoder, const at::Tensor& landmarks,
+at::Tensor decode_adaptively(const LandmarkDecoder& decoder, const at::Tensor& landmarks,
                              const AdaptiveOptions& options, AdaptiveReport* report) {
   std::vector<at::Tensor> parts;
   decode_adaptively(
