@@ -6,7 +6,7 @@ import argparse
 import time
 from pathlib import Path
 
-from freetalk.cli.outputs import check_writable
+from freetalk.cli.outputs import check_readable, check_writable
 
 
 def build(arguments: argparse.Namespace) -> None:
@@ -39,3 +39,20 @@ def heads(arguments: argparse.Namespace) -> None:
         seed=arguments.seed,
     )
     print(f"{len(paths)} heads in {arguments.out}")
+
+
+def codes(arguments: argparse.Namespace) -> None:
+    """Writes codes into a corpus."""
+    check_readable(str(Path(arguments.head) / "config.json"), "a head's configuration")
+    check_readable(str(Path(arguments.data) / "manifest.json"), "the manifest of a packed corpus")
+    from freetalk.corpus.codes import CAPTURED, make_codes
+    from freetalk.head import ParametricHead
+
+    head = ParametricHead.from_pretrained(arguments.head).eval()
+    done = make_codes(head, arguments.data, fitted=() if arguments.no_fit else CAPTURED)
+    print(f"codes of {done.frames} frames in {arguments.data}")
+    if done.fitted:
+        print(
+            f"{done.fitted} captured frames: {done.rig_mm:.2f} mm from the posed face by the codes of their weights, "
+            f"{done.fitted_mm:.2f} mm fitted"
+        )

@@ -9,7 +9,8 @@ from typing import Any, NoReturn
 
 from freetalk.cli import head
 from freetalk.cli import motion_options as motion
-from freetalk.cli.numbers import at_least_one, natural, positive, seed
+from freetalk.cli.corpus_options import add_of_heads
+from freetalk.cli.numbers import at_least_one, positive, seed
 from freetalk.cli.score_options import add_evaluate, add_predict
 from freetalk.cli.weights import shipped_emotions
 
@@ -241,29 +242,7 @@ def _add_corpus(commands: Any) -> None:
     parser.add_argument("--out", required=True, metavar="DIR", help="folder to make")
     parser.add_argument("--size", choices=("tiny", "small", "full"), default="small", help="size")
     parser.add_argument("--seed", type=seed, default=0, help="same seed, same corpus")
-    parser = _command(
-        nested,
-        "heads",
-        "corpus:heads",
-        "write watertight heads of the built-in face",
-        description=(
-            "Writes heads as a neural parametric head is trained on them: closed, with eyes, mouth a little open "
-            "(or with --expression). Trainings draw theirs anew; these are to look at and to judge by."
-        ),
-    )
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder of the .ply files")
-    parser.add_argument("--count", type=natural, default=8, help="how many (default: %(default)s)")
-    parser.add_argument(
-        "--held-out", action="store_true", help="the 32 identities that no training draws"
-    )
-    parser.add_argument(
-        "--expression",
-        metavar="NAME=WEIGHT",
-        action="append",
-        default=[],
-        help="such as jawOpen=0.5; may repeat",
-    )
-    parser.add_argument("--seed", type=seed, default=0, help="same seed, same heads")
+    add_of_heads(nested, _command)
 
 
 def _add_data(commands: Any) -> None:
