@@ -152,6 +152,10 @@ void bind_talker(py::module_& m) {
       .def("prepare", &Talker::prepare, py::arg("mesh"), py::kw_only(),
            py::arg("options") = talker::FaceOptions{}, py::arg("progress") = talker::Progress{},
            py::arg("landmarks") = Eigen::MatrixXd(), NoGil())
+      .def("prepare_head", &Talker::prepare_head, py::arg("z_id"), py::kw_only(),
+           py::arg("resolution"), py::arg("options") = talker::FaceOptions{},
+           py::arg("progress") = talker::Progress{}, NoGil())
+      .def("sample_identity", &Talker::sample_identity, py::arg("seed"), NoGil())
       .def(
           "animate",
           [](const Talker& self, const Audio& audio, const Mesh& mesh,

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from freetalk._pretrained import STAGES, missing_stages
+from freetalk._pretrained import FURTHER_STAGES, STAGES, missing_stages
 
 _NO_NETWORK = (
     "cannot reach huggingface.co for {}: check the network (and that HF_HUB_OFFLINE is not set), or copy config.json "
@@ -24,7 +24,11 @@ FILES = (
     "talker.json",
     "template.safetensors",
     "rig_poses.safetensors",
-    *(f"{stage}/{name}" for stage in STAGES for name in ("config.json", "model.safetensors")),
+    *(
+        f"{stage}/{name}"
+        for stage in (*STAGES, *FURTHER_STAGES)
+        for name in ("config.json", "model.safetensors")
+    ),
 )
 
 
@@ -155,7 +159,9 @@ def model_card(folder: Path, repository: str, licence: str = "mit") -> str:
         "| stage | steps | data | validation | commit |",
         "|---|---|---|---|---|",
     ]
-    for stage in STAGES:
+    for stage in (*STAGES, *FURTHER_STAGES):
+        if not (folder / stage / "config.json").is_file():
+            continue
         config = json.loads((folder / stage / "config.json").read_text())
         training = config.get("training") or {}
         scores = training.get("validation") or {}

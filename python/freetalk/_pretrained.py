@@ -11,6 +11,8 @@ PRETRAINED = Path(__file__).resolve().parent / "pretrained"
 
 #: What a folder of weights holds beside ``talker.json`` and the template that meshes are aligned to.
 STAGES = ("speech", "ats", "stm")
+#: What it may hold beside them.
+FURTHER_STAGES = ("facetalk", "head")
 
 
 def installed() -> Iterator[Path]:

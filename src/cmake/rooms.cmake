@@ -79,7 +79,7 @@ set(json nlohmann_json::nlohmann_json)
 freetalk_add_room(core TORCH module_io random safetensors scratch HEADERS_OF ${json})
 freetalk_add_room(audio USES core LINKS PkgConfig::sndfile PkgConfig::samplerate)
 freetalk_add_room(kernels USES core)
-freetalk_add_room(mesh USES core LINKS freetalk::openmesh HEADERS_OF ${json})
+freetalk_add_room(mesh USES core LINKS freetalk::openmesh freetalk::gltf_compression HEADERS_OF ${json})
 freetalk_add_room(geometry USES core kernels mesh TORCH combine_fields operator_cache operators
                   operators_batch poisson sparse_operator tensor_conversion LINKS Threads::Threads
                   HEADERS_OF Spectra::Spectra ${json})
@@ -93,7 +93,7 @@ freetalk_add_room(head USES nn geometry core TORCH ALL)
 freetalk_add_room(rig USES geometry core TORCH ALL)
 freetalk_add_room(metrics USES core TORCH ALL)
 freetalk_add_room(animation USES audio mesh geometry core TORCH ALL HEADERS_OF ${json})
-freetalk_add_room(talker USES animation rig stm ats facetalk speech diffusion nn geometry mesh audio core
+freetalk_add_room(talker USES animation rig stm head ats facetalk speech diffusion nn geometry mesh audio core
                   TORCH ALL HEADERS_OF ${json})
 
 # core/parallel.cpp is the one unit with OpenMP; its runtime is the very one that torch uses. Where the

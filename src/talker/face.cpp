@@ -15,6 +15,7 @@
 #include "freetalk/core/torch_error.h"
 #include "freetalk/stm/adaptive_decoder.h"
 #include "freetalk/talker/head_motion.h"
+#include "head_decoder.h"
 #include "motion.h"
 #include "stages.h"
 
@@ -125,22 +126,35 @@ std::vector<animation::Animation> Face::animate_many(const audio::Audio& audio,
     found = face.report;
     found.timings.clear();
     Stages stages(progress, found);
-    const auto motions = landmark_motion(*face.models, audio, frames, seeds, options,
-                                         face.options.precision, face.device, stages, found);
+    const auto motions = motion_of(*face.models, audio, frames, seeds, options,
+                                   face.options.precision, face.device, stages, found);
     stages.begin("surface");
     std::vector<animation::Animation> animations;
     for (size_t k = 0; k < seeds.size(); ++k) {
       const auto before = static_cast<double>(k);
       stm::AdaptiveReport decoded;
-      stm::decode_adaptively(
-          *face.decoder, motions[k].to(face.device),
-          [&](int64_t first, const at::Tensor& skin) {
-            const auto place = results[k].narrow(0, first, skin.size(0));
-            place.copy_(face.in_mesh(skin, motions[k].narrow(0, first, skin.size(0))));
-            core::release_pages(place);
-          },
-          {.tolerance_mm = options.tolerance_mm}, &decoded,
-          [&](double share) { stages.at((before + share) / static_cast<double>(seeds.size())); });
+      const Motion& motion = motions[k];
+      const auto progress_of = [&](double share) {
+        stages.at((before + share) / static_cast<double>(seeds.size()));
+      };
+      const auto place = [&](int64_t first, const at::Tensor& skin) {
+        const auto part = results[k].narrow(0, first, skin.size(0));
+        part.copy_(face.in_mesh(skin, motion.landmarks.narrow(0, first, skin.size(0))));
+        core::release_pages(part);
+        return static_cast<double>(first + skin.size(0)) / static_cast<double>(frames);
+      };
+      const auto* by_head = dynamic_cast<const HeadDecoder*>(face.decoder.get());
+      if (by_head != nullptr && motion.codes.defined()) {
+        const at::Tensor codes = by_head->codes_of(motion.codes, face.models->facetalk->options()) +
+                                 by_head->codes_of(motion.landmarks) -
+                                 by_head->codes_of(motion.spoken);
+        by_head->decode_codes(
+            codes, [&](int64_t first, const at::Tensor& skin) { progress_of(place(first, skin)); });
+        decoded = {frames, frames, 0.0, 0.0};
+      } else {
+        stm::decode_adaptively(*face.decoder, motion.landmarks.to(face.device), place,
+                               {.tolerance_mm = options.tolerance_mm}, &decoded, progress_of);
+      }
       add_decoded(found, decoded);
       AnimateOptions used = options;
       used.seed = seeds[k];
@@ -151,7 +165,7 @@ std::vector<animation::Animation> Face::animate_many(const audio::Audio& audio,
       }
       animations.push_back({face.mesh, results[k], options.fps, audio,
                             metadata(used, face.options, found, decoded), face.frame, head,
-                            motions[k].to(at::kCPU, at::kFloat)});
+                            motion.landmarks});
     }
     stages.end();
     return animations;

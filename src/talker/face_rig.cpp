@@ -6,6 +6,7 @@
 #include "face_state.h"
 #include "freetalk/core/error.h"
 #include "geometry/content_hash.h"
+#include "head_decoder.h"
 
 namespace freetalk::talker {
 namespace {
@@ -17,11 +18,13 @@ std::string content_of(const Face::State& face) {
     hash.update(&bytes, sizeof(bytes));
     hash.update(data, bytes);
   };
-  stm::Stm stm = face.models->stm;
-  for (const at::Tensor& parameter : stm->parameters()) {
-    const at::Tensor values = parameter.detach().to(at::kCPU).contiguous();
-    add(values.const_data_ptr(), values.nbytes());
-  }
+  const auto add_parameters = [&add](const torch::nn::Module& model) {
+    for (const at::Tensor& parameter : model.parameters()) {
+      const at::Tensor values = parameter.detach().to(at::kCPU).contiguous();
+      add(values.const_data_ptr(), values.nbytes());
+    }
+  };
+  add_parameters(*face.models->stm);
   const Eigen::MatrixXd& vertices = face.parts->face_vertices();
   const Eigen::MatrixXi& faces = face.parts->face_faces();
   add(vertices.data(), static_cast<size_t>(vertices.size()) * sizeof(double));
@@ -31,6 +34,11 @@ std::string content_of(const Face::State& face) {
     add(weights.const_data_ptr(), weights.nbytes());
   }
   add(face.options.precision.data(), face.options.precision.size());
+  if (const auto* head = dynamic_cast<const HeadDecoder*>(face.decoder.get())) {
+    add_parameters(*head->head().head());
+    const at::Tensor z_id = head->head().z_id().contiguous();
+    add(z_id.const_data_ptr(), z_id.nbytes());
+  }
   return hash.hex();
 }
 

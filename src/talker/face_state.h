@@ -9,15 +9,20 @@
 
 #include "freetalk/animation/parts.h"
 #include "freetalk/rig/face_rig.h"
-#include "freetalk/stm/frame_decoder.h"
+#include "freetalk/stm/landmark_decoder.h"
+#include "freetalk/stm/landmark_follower.h"
 #include "freetalk/talker/face.h"
 #include "freetalk/talker/models.h"
+#include "stages.h"
 
 namespace freetalk::talker {
 
+/// (N, C) float32. @param matrix (N, C).
+at::Tensor to_tensor(const Eigen::MatrixXd& matrix, const c10::Device& device);
+
 struct Face::State {
   std::shared_ptr<const TalkerModels> models;
-  c10::Device device;
+  c10::Device device = c10::kCPU;
   mesh::Mesh mesh;
   FaceOptions options;
   Report report;
@@ -26,7 +31,7 @@ struct Face::State {
   at::Tensor to_mesh;  // (3, 3) float32: rows of displacements in metres to the mesh's own unit
   std::unique_ptr<const animation::Parts> parts;
   std::shared_ptr<const stm::LandmarkFollower> follower;  // null: landmarks are not followed
-  std::unique_ptr<const stm::FrameDecoder> decoder;
+  std::unique_ptr<const stm::LandmarkDecoder> decoder;
   struct LazyRig {
     std::once_flag once;
     std::unique_ptr<const rig::FaceRig> made;
@@ -41,6 +46,14 @@ struct Face::State {
                                               c10::Device device, const mesh::Mesh& mesh,
                                               const FaceOptions& options, const Progress& progress,
                                               const Eigen::MatrixXd& landmarks);
+
+  /// @throws as Talker::prepare_head.
+  static std::shared_ptr<const State> of_head(std::shared_ptr<const TalkerModels> models,
+                                              const at::Tensor& z_id, int64_t resolution,
+                                              const FaceOptions& options, const Progress& progress);
+
+  /// Operators, features and decoder of STM.
+  void decode_by_stm(const Eigen::MatrixXd& landmarks, Stages& stages);
 
   /// Displacements of the mesh, its own unit, from those of the skin. @param skin (t, Vf, 3) m.
   /// @param landmarks (t, 68, 3) m, CPU. @returns (t, V, 3) float32.

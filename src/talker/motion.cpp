@@ -16,10 +16,10 @@ namespace {
 
 constexpr int64_t kDpmSolverSteps = 20;  // within 2 % of a hundred steps of DDIM
 
-/// Landmark displacements (K, T, 68, 3), m, at its own rate, that FaceTalk gives to each seed.
-at::Tensor facetalk_motion(const TalkerModels& models, const at::Tensor& samples,
-                           const std::vector<int64_t>& seeds, const AnimateOptions& options,
-                           const std::string& precision, c10::Device device, Stages& stages) {
+/// Codes (K, T, Z), at its own rate, that FaceTalk gives to each seed.
+at::Tensor spoken_codes(const TalkerModels& models, const at::Tensor& samples,
+                        const std::vector<int64_t>& seeds, const AnimateOptions& options,
+                        const std::string& precision, c10::Device device, Stages& stages) {
   speech::SpeechEncoder encoder = models.speech;
   facetalk::FaceTalk denoiser = models.facetalk;
   const auto& own = denoiser->options();
@@ -28,19 +28,17 @@ at::Tensor facetalk_motion(const TalkerModels& models, const at::Tensor& samples
   const auto features = speech::encode_speech(encoder, samples, own.fps, encoding,
                                               [&](double share) { stages.at(share); });
   stages.begin("motion");
-  const auto codes =
-      facetalk::generate(denoiser, features.to(device), code_options(options, precision),
-                         {seeds.begin(), seeds.end()}, [&](int64_t done, int64_t total) {
-                           stages.at(static_cast<double>(done) / static_cast<double>(total));
-                         });
-  return ats::articulate(denoiser->landmarks(codes), options.articulation);
+  return facetalk::generate(denoiser, features.to(device), code_options(options, precision),
+                            {seeds.begin(), seeds.end()}, [&](int64_t done, int64_t total) {
+                              stages.at(static_cast<double>(done) / static_cast<double>(total));
+                            });
 }
 
 /// Motion that each seed gives to the speech.
-std::vector<at::Tensor> spoken_motion(const TalkerModels& models, const audio::Audio& audio,
-                                      int64_t num_frames, const std::vector<int64_t>& seeds,
-                                      const AnimateOptions& options, const std::string& precision,
-                                      c10::Device device, Stages& stages) {
+std::vector<Motion> spoken_motion(const TalkerModels& models, const audio::Audio& audio,
+                                  int64_t num_frames, const std::vector<int64_t>& seeds,
+                                  const AnimateOptions& options, const std::string& precision,
+                                  c10::Device device, Stages& stages) {
   speech::SpeechEncoder encoder = models.speech;
   ats::Ats denoiser = models.ats;
   const auto& own = denoiser->options();
@@ -50,15 +48,20 @@ std::vector<at::Tensor> spoken_motion(const TalkerModels& models, const audio::A
                          : audio::resample(audio, speech::kSampleRateHz);
   const auto samples = at::tensor(heard.samples);
   const auto at_rate = [&](const at::Tensor& motion, double fps) {
-    std::vector<at::Tensor> result;
-    for (const auto& one : motion.to(at::kCPU).unbind()) {
-      result.push_back(animation::resample_motion(one, fps, options.fps, num_frames).contiguous());
+    return animation::resample_motion(motion.to(at::kCPU), fps, options.fps, num_frames)
+        .contiguous();
+  };
+  std::vector<Motion> result;
+  if (options.motion == "facetalk") {
+    const auto& speaker = models.facetalk;
+    const double fps = speaker->options().fps;
+    const auto codes = spoken_codes(models, samples, seeds, options, precision, device, stages);
+    for (const auto& one : codes.unbind()) {
+      const auto landmarks = speaker->landmarks(one);
+      result.push_back({at_rate(ats::articulate(landmarks, options.articulation), fps),
+                        at_rate(one, fps), at_rate(landmarks, fps)});
     }
     return result;
-  };
-  if (options.motion == "facetalk") {
-    return at_rate(facetalk_motion(models, samples, seeds, options, precision, device, stages),
-                   models.facetalk->options().fps);
   }
   const auto features =
       speech::encode_speech(encoder, samples, own.fps, {}, [&](double share) { stages.at(share); });
@@ -76,7 +79,8 @@ std::vector<at::Tensor> spoken_motion(const TalkerModels& models, const audio::A
       generators, [&](int64_t done, int64_t total) {
         stages.at(static_cast<double>(done) / static_cast<double>(total));
       });
-  return at_rate(motion, own.fps);
+  for (const auto& one : motion.unbind()) result.push_back({at_rate(one, own.fps), {}, {}});
+  return result;
 }
 
 }  // namespace
@@ -147,18 +151,18 @@ void check_performance(const audio::Audio& audio, const std::vector<int64_t>& se
   FREETALK_CHECK(!audio.samples.empty(), "the audio has no samples");
 }
 
-std::vector<at::Tensor> landmark_motion(const TalkerModels& models, const audio::Audio& audio,
-                                        int64_t num_frames, const std::vector<int64_t>& seeds,
-                                        const AnimateOptions& options, const std::string& precision,
-                                        c10::Device device, Stages& stages, Report& report) {
+std::vector<Motion> motion_of(const TalkerModels& models, const audio::Audio& audio,
+                              int64_t num_frames, const std::vector<int64_t>& seeds,
+                              const AnimateOptions& options, const std::string& precision,
+                              c10::Device device, Stages& stages, Report& report) {
   const auto& landmarks = models.face.landmarks68;
-  std::vector<at::Tensor> motions;
+  std::vector<Motion> motions;
   if (is_silent(audio)) {
     report.notices.push_back(options.blinks
                                  ? "the audio is silent: the face rests, breathes and blinks"
                                  : "the audio is silent: the face rests and breathes");
     for (size_t k = 0; k < seeds.size(); ++k) {
-      motions.push_back(rest_motion(landmarks, num_frames, options.fps));
+      motions.push_back({rest_motion(landmarks, num_frames, options.fps), {}, {}});
     }
   } else {
     if (options.motion == "facetalk" && options.emotion != "neutral") {
@@ -175,7 +179,7 @@ std::vector<at::Tensor> landmark_motion(const TalkerModels& models, const audio:
   }
   if (options.blinks) {
     for (size_t k = 0; k < seeds.size(); ++k) {
-      add_blinks(motions[k], landmarks, options.fps, static_cast<uint64_t>(seeds[k]));
+      add_blinks(motions[k].landmarks, landmarks, options.fps, static_cast<uint64_t>(seeds[k]));
     }
   }
   return motions;

@@ -34,10 +34,18 @@ void check_performance(const audio::Audio& audio, const std::vector<int64_t>& se
                        const AnimateOptions& options, const std::string& precision,
                        const TalkerModels& models);
 
-/// Motion of each seed, (T, 68, 3) float32 m at options.fps, on the CPU.
-std::vector<at::Tensor> landmark_motion(const TalkerModels& models, const audio::Audio& audio,
-                                        int64_t num_frames, const std::vector<int64_t>& seeds,
-                                        const AnimateOptions& options, const std::string& precision,
-                                        c10::Device device, Stages& stages, Report& report);
+/// What a seed makes of the speech, at options.fps, on the CPU.
+struct Motion {
+  at::Tensor landmarks;  // (T, 68, 3) float32 m
+  /// FaceTalk's codes, (T, Z) float32, and the landmarks as they have them, before articulation and
+  /// blinks; undefined where landmarks were spoken.
+  at::Tensor codes, spoken;
+};
+
+/// Motion of each seed.
+std::vector<Motion> motion_of(const TalkerModels& models, const audio::Audio& audio,
+                              int64_t num_frames, const std::vector<int64_t>& seeds,
+                              const AnimateOptions& options, const std::string& precision,
+                              c10::Device device, Stages& stages, Report& report);
 
 }  // namespace freetalk::talker

@@ -47,6 +47,8 @@ std::string emotion_text(const std::vector<EmotionKey>& keys) {
 void FaceOptions::check() const {
   FREETALK_CHECK(precision == "float32" || precision == "bfloat16",
                  "precision must be float32 or bfloat16, found '", precision, "'");
+  FREETALK_CHECK(engine == "stm" || engine == "head", "engine must be stm or head, found '", engine,
+                 "'");
   FREETALK_CHECK(memory_mb >= 1, "memory_mb must be at least 1, found ", memory_mb);
   FREETALK_CHECK(
       follow_landmarks == "auto" || follow_landmarks == "yes" || follow_landmarks == "no",

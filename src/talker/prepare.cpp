@@ -9,6 +9,8 @@
 #include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
 #include "freetalk/geometry/operators.h"
+#include "freetalk/stm/frame_decoder.h"
+#include "head_face.h"
 #include "stages.h"
 
 namespace freetalk::talker {
@@ -58,13 +60,13 @@ geometry::SurfaceOperators operators_of(const Eigen::MatrixXd& vertices,
   return operators;
 }
 
+}  // namespace
+
 at::Tensor to_tensor(const Eigen::MatrixXd& matrix, const c10::Device& device) {
   const Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> rows = matrix;
   return at::from_blob(const_cast<double*>(rows.data()), {rows.rows(), rows.cols()}, at::kDouble)
       .to(device, at::kFloat, /*non_blocking=*/false, /*copy=*/true);
 }
-
-}  // namespace
 
 std::shared_ptr<const Face::State> Face::State::prepare(std::shared_ptr<const TalkerModels> models,
                                                         c10::Device device, const mesh::Mesh& mesh,
@@ -76,8 +78,12 @@ std::shared_ptr<const Face::State> Face::State::prepare(std::shared_ptr<const Ta
   FREETALK_CHECK(
       landmarks.size() == 0 || (landmarks.rows() == core::kNumLandmarks && landmarks.cols() == 3),
       "landmarks must be (68, 3), found (", landmarks.rows(), ", ", landmarks.cols(), ")");
-  const auto face =
-      std::make_shared<State>(State{models, device, mesh, options, {}, {}, {}, {}, {}, {}, {}, {}});
+  if (options.engine == "head") check_head(*models);
+  const auto face = std::make_shared<State>();
+  face->models = models;
+  face->device = device;
+  face->mesh = mesh;
+  face->options = options;
   face->lazy_rig = std::make_unique<LazyRig>();
   Report& report = face->report;
   Stages stages(progress, report);
@@ -100,14 +106,24 @@ std::shared_ptr<const Face::State> Face::State::prepare(std::shared_ptr<const Ta
                                                    models->face.landmarks68);
   report.parts = face->parts->summary();
 
+  if (options.engine == "head") {
+    stages.begin("features");
+    face->decoder = head_of_mesh(*face, report, stages);
+  } else {
+    face->decode_by_stm(landmarks, stages);
+  }
+  stages.end();
+  return face;
+}
+
+void Face::State::decode_by_stm(const Eigen::MatrixXd& landmarks, Stages& stages) {
   stages.begin("operators");
   stm::Stm stm = models->stm;
-  const Eigen::MatrixXd& vertices = face->parts->face_vertices();
-  const auto operators =
-      operators_of(vertices / stm->options().length_scale, face->parts->face_faces(),
-                   stm->options().k_eig, options.cache_dir, mesh.name,
-                   [&](double share) { stages.at(share); })
-          .to(at::kFloat, device);
+  const Eigen::MatrixXd& vertices = parts->face_vertices();
+  const auto operators = operators_of(vertices / stm->options().length_scale, parts->face_faces(),
+                                      stm->options().k_eig, options.cache_dir, mesh.name,
+                                      [&](double share) { stages.at(share); })
+                             .to(at::kFloat, device);
 
   stages.begin("features");
   const auto features = stm->encode(to_tensor(vertices, device), operators);
@@ -116,12 +132,13 @@ std::shared_ptr<const Face::State> Face::State::prepare(std::shared_ptr<const Ta
     const bool known = landmarks.size() > 0;
     stm::FollowOptions follow;
     if (!known) follow.kriging.noise = kUncertain;
-    const stm::LandmarkFollower made(vertices, face->parts->face_faces(),
-                                     known ? pose.apply(landmarks) : models->face.landmarks68,
-                                     models->face.outward68, follow);
+    const stm::LandmarkFollower made(
+        vertices, parts->face_faces(),
+        known ? report.alignment.to_canonical.apply(landmarks) : models->face.landmarks68,
+        models->face.outward68, follow);
     const int64_t followed = made.num_followed();
     if (2 * followed >= core::kNumLandmarks) {
-      face->follower = std::make_shared<const stm::LandmarkFollower>(made.to(device));
+      follower = std::make_shared<const stm::LandmarkFollower>(made.to(device));
     } else {
       report.notices.push_back(
           core::join("only ", followed,
@@ -129,11 +146,9 @@ std::shared_ptr<const Face::State> Face::State::prepare(std::shared_ptr<const Ta
                      "not made to follow them"));
     }
   }
-  face->decoder = std::make_unique<const stm::FrameDecoder>(
+  decoder = std::make_unique<const stm::FrameDecoder>(
       stm.ptr(), features, operators,
-      stm::DecodeOptions{options.precision, options.memory_mb << 20}, face->follower);
-  stages.end();
-  return face;
+      stm::DecodeOptions{options.precision, options.memory_mb << 20}, follower);
 }
 
 at::Tensor Face::State::in_mesh(const at::Tensor& skin, const at::Tensor& landmarks) const {

@@ -83,6 +83,16 @@ Talker Talker::from_pretrained(const std::filesystem::path& directory,
                            ": hears ", own.condition, " of ", own.audio_dim,
                            " channels, but speech/ gives ", heard);
   }
+  if (const auto folder = directory / "head"; std::filesystem::exists(folder / "config.json")) {
+    models.head =
+        core::load_model<head::ParametricHead, head::HeadOptions>(folder, "freetalk-head");
+    const int64_t codes = models.head->options().expression_dim;
+    const bool speaks = models.facetalk && models.facetalk->options().codes == "head";
+    FREETALK_RUNTIME_CHECK(!speaks || models.facetalk->options().code_dim == codes,
+                           directory.string(), ": facetalk/ speaks codes of ",
+                           models.facetalk->options().code_dim,
+                           " channels, but those of head/ have ", codes);
+  }
   const bool gpu = torch::cuda::is_available();
   return Talker(std::move(models), device.value_or(gpu ? c10::Device(c10::kCUDA) : c10::kCPU));
 }

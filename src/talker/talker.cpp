@@ -4,8 +4,10 @@
 
 #include "face_state.h"
 #include "freetalk/core/error.h"
+#include "freetalk/core/random.h"
 #include "freetalk/core/torch_error.h"
 #include "freetalk/talker/models.h"
+#include "head_face.h"
 #include "motion.h"
 
 namespace freetalk::talker {
@@ -22,6 +24,7 @@ Talker::Talker(TalkerModels models, c10::Device device) : device_(device) {
     settle(*models.ats);
     settle(*models.stm);
     if (models.facetalk) settle(*models.facetalk);
+    if (models.head) models.head->eval();
     models_ = std::make_shared<const TalkerModels>(std::move(models));
   });
 }
@@ -44,6 +47,20 @@ Face Talker::prepare(const mesh::Mesh& mesh, const FaceOptions& options, const P
                      const Eigen::MatrixXd& landmarks) const {
   return Face(core::with_plain_errors("prepare", [&] {
     return Face::State::prepare(models_, device_, mesh, options, progress, landmarks);
+  }));
+}
+
+at::Tensor Talker::sample_identity(uint64_t seed) const {
+  const torch::NoGradGuard no_grad;
+  check_head(*models_);
+  head::ParametricHead head = models_->head;
+  return head->sample_identity(1, core::make_generator(seed))[0];
+}
+
+Face Talker::prepare_head(const at::Tensor& z_id, int64_t resolution, const FaceOptions& options,
+                          const Progress& progress) const {
+  return Face(core::with_plain_errors("prepare_head", [&] {
+    return Face::State::of_head(models_, z_id, resolution, options, progress);
   }));
 }
 

@@ -43,6 +43,7 @@ struct HeadOptions {
   int64_t num_coefficients = 0;
   /// Expression weights of a face model that expression_map turns into z_exp; 0: no map.
   int64_t num_weights = 0;
+  std::vector<std::string> expressions;  // their names, as the face model has them; or none
   int64_t expression_map_hidden = 128;
   template <class V>
   void fields(V& v) {
@@ -70,6 +71,7 @@ struct HeadOptions {
     v("box_max", box_max);
     v("num_coefficients", num_coefficients);
     v("num_weights", num_weights);
+    v("expressions", expressions);
     v("expression_map_hidden", expression_map_hidden);
   }
   void check() const;

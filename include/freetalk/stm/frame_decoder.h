@@ -4,6 +4,7 @@
 #include <functional>
 #include <memory>
 
+#include "freetalk/stm/landmark_decoder.h"
 #include "freetalk/stm/landmark_follower.h"
 #include "freetalk/stm/stm.h"
 
@@ -17,7 +18,7 @@ namespace freetalk::stm {
 /// in float32 on a CPU go through fused kernels (nn/fused_diffusion.h), others through
 /// StmImpl::decode in chunks. Decoding may run on several threads at a time. Through the fused
 /// kernels a frame's bits depend on nothing but the frame.
-class FrameDecoder {
+class FrameDecoder : public LandmarkDecoder {
  public:
   /// Changes of the model after this may or may not reach the decoder: make another.
   /// @param follower of the same mesh: displacements follow the landmarks; none: as decode() gives
@@ -25,21 +26,16 @@ class FrameDecoder {
   FrameDecoder(std::shared_ptr<StmImpl> model, const MeshFeatures& mesh,
                const geometry::SurfaceOperators& operators, const DecodeOptions& options = {},
                std::shared_ptr<const LandmarkFollower> follower = nullptr);
-  ~FrameDecoder();
+  ~FrameDecoder() override;
 
-  /// Memory grows with the chunk, not with T.
-  /// @param landmarks (T, 68, 3) displacements, metres.
-  /// @param sink called with (first frame, (t, V, 3) displacements in metres) in order, on the
-  ///   CPU; a GPU goes on with the next frames meanwhile.
+  /// A GPU goes on with the next frames while the sink has these.
   void decode(const at::Tensor& landmarks,
-              const std::function<void(int64_t, const at::Tensor&)>& sink) const;
-
-  /// @returns (T, V, 3) displacements, metres, where the landmarks are.
-  at::Tensor decode(const at::Tensor& landmarks) const;
+              const std::function<void(int64_t, const at::Tensor&)>& sink) const override;
+  at::Tensor decode(const at::Tensor& landmarks) const override;
 
   /// The fastest decoder of this mesh on this processor: in bfloat16 where it multiplies that,
   /// made when it is first asked for; else this one.
-  const FrameDecoder& fastest() const;
+  const FrameDecoder& fastest() const override;
 
  private:
   /// Frames of a chunk, and how many of them are in work at a time: as many as the memory and the

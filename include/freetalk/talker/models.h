@@ -6,6 +6,7 @@
 #include "freetalk/ats/ats.h"
 #include "freetalk/ats/generate.h"
 #include "freetalk/facetalk/facetalk.h"
+#include "freetalk/head/parametric_head.h"
 #include "freetalk/rig/face_rig.h"
 #include "freetalk/speech/encoder.h"
 #include "freetalk/stm/stm.h"
@@ -25,6 +26,7 @@ struct TalkerModels {
   ats::Ats ats{nullptr};
   facetalk::FaceTalk facetalk{nullptr};  // of AnimateOptions::motion "facetalk"; empty: none
   stm::Stm stm{nullptr};
+  head::ParametricHead head{nullptr};  // of FaceOptions::engine "head", on the CPU; empty: none
   Template face;
   ats::GenerateOptions generate;  // the weights' own sampling options
   rig::RigPoses rig;              // of the rigs of faces; without names: none

@@ -25,6 +25,9 @@ struct FaceOptions {
   std::string unit = "auto";  // of the mesh, see geometry::AlignOptions
   std::string up = "auto";
   std::string forward = "auto";
+  /// What moves the surface: "stm", or, where the weights hold one, "head": the parametric head
+  /// that fits the mesh best.
+  std::string engine = "stm";
   std::string precision = "float32";  // of ATS and STM: "float32" or "bfloat16" (faster, coarser)
   int64_t memory_mb = 256;            // working memory of decoding, beside the result
   /// "yes": the surface follows the landmarks where they are on the mesh (stm/landmark_follower.h);
@@ -40,6 +43,7 @@ struct FaceOptions {
     v("unit", unit);
     v("up", up);
     v("forward", forward);
+    v("engine", engine);
     v("precision", precision);
     v("memory_mb", memory_mb);
     v("follow_landmarks", follow_landmarks);

@@ -26,8 +26,8 @@ struct TalkerModels;
 /// threads at once, on the CPU with the bits that one thread would get (on a GPU up to rounding).
 class Talker {
  public:
-  /// Reads talker.json, speech/, ats/, stm/ and template.safetensors, and facetalk/ where there is
-  /// one.
+  /// Reads talker.json, speech/, ats/, stm/ and template.safetensors, and facetalk/ and head/ where
+  /// there are such.
   /// @param device nothing: the GPU if there is one.
   /// @throws std::runtime_error naming the file that is missing, broken or doesn't fit.
   static Talker from_pretrained(const std::filesystem::path& directory,
@@ -46,6 +46,19 @@ class Talker {
   /// surface without area; whatever `progress` throws.
   Face prepare(const mesh::Mesh& mesh, const FaceOptions& options = {},
                const Progress& progress = {}, const Eigen::MatrixXd& landmarks = {}) const;
+
+  /// The code of a new identity of the weights' parametric head, (identity_dim,): the same for the
+  /// same seed. @throws std::invalid_argument for weights without a head.
+  at::Tensor sample_identity(uint64_t seed) const;
+
+  /// A head that no mesh was given for: the surface of an identity of the weights' parametric head,
+  /// in metres, +Y up, +Z out of the face. Include talker/models.h for the head and its codes.
+  /// @param z_id (identity_dim,). @param resolution cells along each axis of the head's box, see
+  /// head::SurfaceOptions.
+  /// @throws std::invalid_argument for weights without a head, a code of another size, options out
+  /// of range; std::runtime_error where the code has no surface.
+  Face prepare_head(const at::Tensor& z_id, int64_t resolution = 128,
+                    const FaceOptions& options = {}, const Progress& progress = {}) const;
 
   /// prepare() and Face::animate() in one call. @param report filled if given.
   animation::Animation animate(const audio::Audio& audio, const mesh::Mesh& mesh,

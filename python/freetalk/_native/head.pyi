@@ -41,6 +41,7 @@ class HeadOptions:
     direction: typing.Any
     expression_dim: typing.Any
     expression_map_hidden: typing.Any
+    expressions: typing.Any
     global_dim: typing.Any
     hyper_dim: typing.Any
     identity_code_dim: typing.Any

@@ -30,6 +30,7 @@ class FaceOptions:
 
     __hash__: typing.ClassVar[None] = None
     cache_dir: typing.Any
+    engine: typing.Any
     follow_landmarks: typing.Any
     forward: typing.Any
     memory_mb: typing.Any
@@ -100,6 +101,7 @@ class TalkerOptions:
     blinks: typing.Any
     cache_dir: typing.Any
     emotion: typing.Any
+    engine: typing.Any
     eta: typing.Any
     follow_landmarks: typing.Any
     forward: typing.Any
@@ -327,6 +329,15 @@ class Talker:
         progress: collections.abc.Callable[[str, float], None] | None = None,
         landmarks: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"] = ...,
     ) -> Face: ...
+    def prepare_head(
+        self,
+        z_id: torch.Tensor,
+        *,
+        resolution: typing.SupportsInt | typing.SupportsIndex,
+        options: FaceOptions = ...,
+        progress: collections.abc.Callable[[str, float], None] | None = None,
+    ) -> Face: ...
+    def sample_identity(self, seed: typing.SupportsInt | typing.SupportsIndex) -> torch.Tensor: ...
     @property
     def device(self) -> str: ...
     @property

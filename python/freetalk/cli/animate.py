@@ -104,6 +104,7 @@ def plan(arguments: argparse.Namespace) -> list[Job]:
     if arguments.mesh is not None:
         wanted = "a mesh (OBJ, PLY, OFF, STL or glTF)"
         meshes = list(inputs(arguments.mesh, MESH_SUFFIXES, wanted))
+    check_identity(arguments)
     several = [Path(given).is_dir() for given in (arguments.audio, arguments.mesh or "")]
     if arguments.mesh is None:
         several[1] = False
@@ -129,6 +130,30 @@ def plan(arguments: argparse.Namespace) -> list[Job]:
     return jobs
 
 
+def check_identity(arguments: argparse.Namespace) -> None:
+    """Makes sure that an identity is one, and is asked for where a head shows it.
+
+    Raises:
+        ValueError: it is not.
+        OSError: its file is missing.
+    """
+    identity = arguments.identity
+    if identity is None:
+        return
+    if arguments.engine != "head" or arguments.mesh is not None:
+        raise ValueError(
+            "--identity chooses a head that no mesh is given for: use it with --engine head, without --mesh"
+        )
+    kind, _, number = identity.partition(":")
+    if kind == "sample" and number.isdecimal():
+        return
+    if kind == "sample" or not identity.endswith(".npz"):
+        raise ValueError(
+            f"--identity {identity}: expected sample:N, such as sample:7, or codes.npz"
+        )
+    check_readable(identity, "codes")
+
+
 def prepare(
     talker: Callable[[], freetalk.Talker],
     file: Path | None,
@@ -138,6 +163,8 @@ def prepare(
     """Prepares a mesh and says what was guessed about it."""
     import freetalk
 
+    if arguments.engine == "head" and file is None:
+        return head_of(talker(), arguments, report)
     mesh = freetalk.load_mesh(file) if file is not None else built_in_face()
     landmarks = arguments.landmarks and check_readable(arguments.landmarks, "landmarks")
     face = talker().prepare(
@@ -150,6 +177,23 @@ def prepare(
     )
     for notice in found.notices:
         report.line("note", notice, timed=False)
+    return face
+
+
+def head_of(
+    talker: freetalk.Talker, arguments: argparse.Namespace, report: Report
+) -> freetalk.Face:
+    """The head of an identity of the weights."""
+    identity = arguments.identity or "sample:0"
+    if identity.startswith("sample:"):
+        z_id = talker.sample_identity(int(identity.removeprefix("sample:")))
+    else:
+        from freetalk.head import ParametricHead, load_codes
+
+        folder = find_weights(arguments.pretrained) / "head"
+        z_id = load_codes(identity, ParametricHead.from_pretrained(folder).eval()).z_id
+    face = talker.prepare_head(z_id, precision=arguments.precision, progress=not report.quiet)
+    report.line("head", f"{identity}: {len(face.mesh.vertices)} vertices")
     return face
 
 

@@ -79,5 +79,6 @@ def add_where(parser: argparse.ArgumentParser) -> None:
 
 def preparation(arguments: argparse.Namespace) -> dict[str, Any]:
     """What was given of how a face is prepared, by the names of the library's options."""
-    names = ("unit", "up", "forward", "precision", "follow_landmarks")
-    return {name: getattr(arguments, name) for name in names}
+    names = ("unit", "up", "forward", "engine", "precision", "follow_landmarks")
+    given = vars(arguments)
+    return {name: given[name] for name in names if name in given}

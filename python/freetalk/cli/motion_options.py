@@ -103,6 +103,16 @@ def add_decoding(parser: argparse.ArgumentParser) -> None:
         "what makes the motion: ats, or facetalk where the weights hold it, which knows no emotions"
     )
     parser.add_argument("--motion", choices=("ats", "facetalk"), default="ats", help=motion_help)
+    engine_help = (
+        "what moves the surface: stm; or head, where the weights hold a parametric head: the one that fits the "
+        "mesh, or, without --mesh, that of --identity"
+    )
+    parser.add_argument("--engine", choices=("stm", "head"), default="stm", help=engine_help)
+    identity_help = (
+        "of a head that no mesh is given for: 'sample:N', another N, another face; or codes that 'freetalk head fit' "
+        "wrote; by default sample:0"
+    )
+    parser.add_argument("--identity", metavar="WHO", help=identity_help)
     parser.add_argument(
         "--precision",
         choices=("float32", "bfloat16"),

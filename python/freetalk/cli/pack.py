@@ -11,7 +11,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from freetalk._pretrained import STAGES
+from freetalk._pretrained import FURTHER_STAGES, STAGES
 
 
 def add_pack(parser: argparse.ArgumentParser) -> None:
@@ -22,6 +22,8 @@ def add_pack(parser: argparse.ArgumentParser) -> None:
     )
     for stage in STAGES:
         parser.add_argument(f"--{stage}", required=True, metavar="DIR", help=f"trained {stage}")
+    for stage in FURTHER_STAGES:
+        parser.add_argument(f"--{stage}", metavar="DIR", help=f"trained {stage}, if there is one")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder to write")
     temperature_help = "of sampling, unless a user gives another; by default 0.3"
     parser.add_argument("--mouth-temperature", type=float, metavar="T", help=temperature_help)
@@ -43,7 +45,8 @@ def run(arguments: argparse.Namespace) -> None:
     from freetalk.train.assemble import MOUTH_TEMPERATURE, NUM_STEPS, assemble
 
     out = Path(arguments.out)
-    folders = {stage: Path(getattr(arguments, stage)) for stage in STAGES}
+    given = {stage: getattr(arguments, stage) for stage in (*STAGES, *FURTHER_STAGES)}
+    folders = {stage: Path(folder) for stage, folder in given.items() if folder is not None}
     for folder in folders.values():
         lacks = untraceable(json.loads((folder / "config.json").read_text()))
         if lacks and not arguments.untraceable:
@@ -55,6 +58,7 @@ def run(arguments: argparse.Namespace) -> None:
         (out / stage).mkdir(parents=True, exist_ok=True)
         for file in ("config.json", "model.safetensors"):
             shutil.copyfile(folder / file, out / stage / file)
+    _check_codes(out)
     temperature = arguments.mouth_temperature
     lacking = assemble(
         out,
@@ -65,6 +69,25 @@ def run(arguments: argparse.Namespace) -> None:
     if lacking:
         raise ValueError(lacking)
     print(f"weights in {out}")
+
+
+def _check_codes(out: Path) -> None:
+    """Makes sure that codes that are spoken are those of the head beside.
+
+    Raises:
+        ValueError: they are of another head.
+    """
+    speaks, shows = out / "facetalk" / "config.json", out / "head"
+    wanted = json.loads(speaks.read_text())["options"].get("head") if speaks.is_file() else None
+    if not wanted or not (shows / "config.json").is_file():
+        return
+    from freetalk.head import ParametricHead, content_hash
+
+    found = content_hash(ParametricHead.from_pretrained(shows).eval())
+    if found != wanted:
+        raise ValueError(
+            f"{out}: facetalk/ speaks codes of the head {wanted}, but head/ is {found}"
+        )
 
 
 def untraceable(config: dict[str, Any]) -> list[str]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import torch
 
 from freetalk import _native
 from freetalk._pretrained import PRETRAINED, find_weights
@@ -42,6 +43,9 @@ __all__ = [
     "Talker",
     "TalkerOptions",
 ]
+
+HEAD_RESOLUTION = 128
+"""Cells of a head's box along each axis, unless told otherwise."""
 
 _PREPARATION = {"align": 0.25, "parts": 0.05, "operators": 0.6, "features": 0.1}
 #: A mesh of more vertices is aligned before anything is computed of it: it may be a whole character.
@@ -143,7 +147,8 @@ class Talker:
                 the mesh's own unit and axes, or a file as ``freetalk mesh landmarks`` writes it.
             progress: a progress bar on a terminal, nothing, or a callback (done, total); whatever the callback
                 raises ends the work.
-            options: fields of ``FaceOptions``: unit, up, forward, precision, memory_mb, follow_landmarks ("yes",
+            options: fields of ``FaceOptions``: unit, up, forward, engine ("stm", or "head" where the weights hold a
+                parametric head: the one that fits the mesh best moves it), precision, memory_mb, follow_landmarks ("yes",
                 "no", or "auto": as the weights say) and cache_dir ("auto", the default here: the user's cache
                 folder; None: no file is read or written).
 
@@ -159,22 +164,64 @@ class Talker:
         with StageProgress(progress, _PREPARATION) as bar:
             return self._prepare(_mesh(mesh), wanted, landmarks, bar)
 
+    def sample_identity(self, seed: int) -> torch.Tensor:
+        """The code (D,) of a new identity of the weights' parametric head, the same for the same seed.
+
+        Raises:
+            ValueError: the weights have no head.
+        """
+        code: torch.Tensor = self._native.sample_identity(seed)
+        return code
+
+    def prepare_head(
+        self,
+        z_id: torch.Tensor,
+        *,
+        resolution: int = HEAD_RESOLUTION,
+        progress: bool | Progress | None = True,
+        **options: Any,
+    ) -> Face:
+        """A head that no mesh was given for: the surface of an identity of the weights' parametric head.
+
+        Args:
+            z_id: (D,) code of the identity: of :meth:`sample_identity`, or of ``freetalk.head.fit_identity`` on
+                the head in the weights' folder ``head``.
+            resolution: cells along each axis of the head's box, a multiple of 128; more give a finer mesh.
+            progress: as for :meth:`prepare`.
+            options: fields of ``FaceOptions`` that concern no mesh: precision, cache_dir.
+
+        Returns:
+            A face in metres, +Y up, +Z out of the face, for any number of clips, seeds and threads.
+
+        Raises:
+            ValueError: the weights have no head, the code is of another size, an option is out of range.
+            RuntimeError: the code has no surface.
+        """
+        wanted = FaceOptions(**_with_cache(options))
+        with StageProgress(progress, {"features": 1.0}) as bar:
+            native = self._native.prepare_head(
+                z_id, resolution=resolution, options=wanted, progress=bar.update
+            )
+        return Face(native, self._voice)
+
     def _prepare(
         self, mesh: Mesh, options: FaceOptions, landmarks: Landmarks | None, bar: StageProgress
     ) -> Face:
         told = all(getattr(options, name) != "auto" for name in _TOLD)
         if landmarks is not None:
-            return self._prepare_head(place(mesh, landmarks), options, bar)
+            return self._prepare_placed(place(mesh, landmarks), options, bar)
         if len(mesh.vertices) > _LARGE and not told:
             found = self.align(mesh, **{name: getattr(options, name) for name in _TOLD})
             if _doubtful(mesh, found):
-                return self._prepare_head(find_face(mesh, found), options, bar)
+                return self._prepare_placed(find_face(mesh, found), options, bar)
         native = self._native.prepare(mesh, options=options, progress=bar.update)
         if told or not _doubtful(mesh, native.report.alignment):
             return Face(native, self._voice)
-        return self._prepare_head(find_face(mesh, native.report.alignment), options, bar)
+        return self._prepare_placed(find_face(mesh, native.report.alignment), options, bar)
 
-    def _prepare_head(self, placement: Placement, options: FaceOptions, bar: StageProgress) -> Face:
+    def _prepare_placed(
+        self, placement: Placement, options: FaceOptions, bar: StageProgress
+    ) -> Face:
         upright = FaceOptions.from_dict(
             options.to_dict() | {"unit": "m", "up": "+y", "forward": "+z"}
         )

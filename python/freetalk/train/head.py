@@ -54,6 +54,7 @@ class HeadTask:
                 **config.model,
                 "num_coefficients": len(rig.identity_basis),
                 "num_weights": len(rig.expression_basis),
+                "expressions": list(rig.expression_names),
             }
         )
         self.model = ParametricHead(options).to(device)

@@ -1,4 +1,5 @@
 #include "freetalk/stm/adaptive_decoder.h"
+#include "freetalk/stm/frame_decoder.h"
 
 #include <ATen/Parallel.h>
 #include <gtest/gtest.h>

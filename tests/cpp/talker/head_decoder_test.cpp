@@ -1,0 +1,107 @@
+#include "talker/head_decoder.h"
+
+#include <gtest/gtest.h>
+#include <torch/torch.h>
+
+namespace freetalk::talker {
+namespace {
+
+/// A head of random weights, moved by three expressions.
+head::ParametricHead small_head() {
+  torch::manual_seed(3);
+  head::HeadOptions options;
+  options.global_dim = 6;
+  options.local_dim = 4;
+  options.identity_hidden = options.deformation_hidden = 64;
+  options.anchor_hidden = options.identity_code_dim = 8;
+  options.expression_dim = 5;
+  options.deformation_layers = 4;
+  options.direction = "both";
+  options.num_weights = 3;
+  options.expressions = {"jawOpen", "mouthSmile_L", "mouthSmile_R"};
+  head::ParametricHead model(options);
+  model->eval();
+  return model;
+}
+
+rig::RigPoses poses() {
+  rig::RigPoses result;
+  result.names = {"jawOpen", "mouthSmileLeft", "mouthSmileRight"};
+  torch::manual_seed(5);
+  result.shapes = 5e-3 * at::randn({3, 68, 3});
+  result.library = 5e-3 * at::randn({4, 68, 3});
+  return result;
+}
+
+class HeadDecoderTest : public ::testing::Test {
+ protected:
+  HeadDecoderTest() {
+    const torch::NoGradGuard no_grad;
+    torch::manual_seed(7);
+    z_id_ = 0.3 * at::randn({model_->identity_dim()});
+    canonical_ = 0.1 * at::rand({40, 3}) - 0.05;
+    share_ = at::linspace(0, 1, 40);
+    decoder_ = std::make_unique<HeadDecoder>(head::PreparedHead(model_, z_id_), poses(), canonical_,
+                                             share_);
+  }
+
+  head::ParametricHead model_ = small_head();
+  at::Tensor z_id_, canonical_, share_;
+  std::unique_ptr<HeadDecoder> decoder_;
+};
+
+TEST_F(HeadDecoderTest, WeightsFollowShapesByName) {
+  head::HeadOptions options;
+  options.num_weights = 5;
+  options.expressions = {"browInnerUp_L", "browInnerUp_R", "jawOpen", "mouthSmile_L", "tongueOut"};
+  const auto map =
+      weights_of_shapes({"jawOpen", "browInnerUp", "mouthSmileLeft", "noseSneerLeft"}, options);
+  const auto wanted = at::tensor({0, 0, 1, 0, 0, 1, 1, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0})
+                          .view({4, 5})
+                          .to(at::kFloat);
+  EXPECT_TRUE(at::equal(map, wanted));
+  options.expressions.clear();
+  EXPECT_THROW(weights_of_shapes({"jawOpen"}, options), std::runtime_error);
+}
+
+TEST_F(HeadDecoderTest, IsTheHeadsDeformationByTheWeightsFound) {
+  const torch::NoGradGuard no_grad;
+  // Landmarks of a shape are explained by it alone, but for the solver's small costs.
+  const auto moved = decoder_->decode(poses().shapes);
+  const head::PreparedHead head(model_, z_id_);
+  const auto points = 4 * canonical_;
+  const auto rest = head.to_posed(points, model_->rest_expression);
+  for (int64_t shape = 0; shape < 3; ++shape) {
+    at::Tensor weights = at::zeros({1, 3});
+    weights[0][shape] = 1;
+    const auto code = model_->expression_code(weights)[0];
+    const auto wanted = (head.to_posed(points, code) - rest) / 4 * share_.unsqueeze(1);
+    const double off = (moved[shape] - wanted).norm().item<double>();
+    EXPECT_GT(wanted.norm().item<double>(), 0);
+    EXPECT_LT(off, 0.05 * wanted.norm().item<double>()) << shape;
+  }
+  EXPECT_EQ(moved.select(1, 0).abs().max().item<float>(), 0);  // of share 0
+}
+
+TEST_F(HeadDecoderTest, SpokenWeightsAreTakenByName) {
+  const torch::NoGradGuard no_grad;
+  facetalk::FaceTalkOptions options;
+  options.codes = "weights";
+  options.expressions = {"mouthSmile_R", "cheekPuff_L", "jawOpen"};
+  const auto spoken = at::tensor({0.2F, 0.9F, 0.7F}).view({1, 3});
+  const auto wanted = model_->expression_code(at::tensor({0.7F, 0.0F, 0.2F}).view({1, 3}));
+  EXPECT_TRUE(at::equal(decoder_->codes_of(spoken, options), wanted));
+  options.codes = "head";
+  EXPECT_TRUE(at::equal(decoder_->codes_of(spoken, options), spoken));
+}
+
+TEST_F(HeadDecoderTest, AFrameDependsOnNoOther) {
+  const auto landmarks = 3e-3 * at::randn({70, 68, 3});  // more than a chunk
+  const auto all = decoder_->decode(landmarks);
+  EXPECT_TRUE(at::equal(all.narrow(0, 60, 1), decoder_->decode(landmarks.narrow(0, 60, 1))));
+  const auto coarse = decoder_->fastest().decode(landmarks);
+  EXPECT_LT((coarse - all).abs().max().item<double>(), 1e-4);
+}
+
+}  // namespace
+}  // namespace freetalk::talker
