@@ -43,6 +43,16 @@ inline mesh::Mesh face_mesh(double unit, double nose_m = 0.03) {
   return mesh::make_mesh(vertices, polygons, Eigen::MatrixXd(0, 2), {}, "oval");
 }
 
+/// Options of a denoiser of a few thousand parameters, for features of 32 channels.
+template <class Options>
+Options small_denoiser() {
+  Options options;
+  options.audio_dim = options.d_model = options.ff_dim = 32;
+  options.num_layers = 1;
+  options.num_heads = 2;
+  return options;
+}
+
 inline audio::Audio hum(double seconds, double amplitude = 0.3) {
   audio::Audio audio;
   audio.samples.resize(static_cast<size_t>(seconds * 16000));
@@ -70,12 +80,7 @@ class TalkerTest : public ::testing::Test {
     heard.num_conv_pos_embeddings = 8;
     heard.num_conv_pos_embedding_groups = 4;
     speech::save_speech_encoder(speech::SpeechEncoder(heard), dir_ / "speech");
-    ats::AtsOptions ats;
-    ats.d_model = 32;
-    ats.num_layers = 1;
-    ats.num_heads = 2;
-    ats.ff_dim = 32;
-    ats.audio_dim = 32;
+    auto ats = small_denoiser<ats::AtsOptions>();
     ats.max_frames = 60;
     ats::Ats denoiser(ats);
     denoiser->set_motion_statistics(at::zeros({204}), at::full({204}, 2e-3));

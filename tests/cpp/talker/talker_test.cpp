@@ -281,13 +281,8 @@ TEST_F(TalkerTest, FaceTalkSpeaksWhereTheWeightsHoldIt) {
   } catch (const std::invalid_argument& error) {
     EXPECT_NE(std::string(error.what()).find("facetalk/"), std::string::npos);
   }
-  facetalk::FaceTalkOptions small;
+  auto small = small_denoiser<facetalk::FaceTalkOptions>();
   small.code_dim = 4;
-  small.audio_dim = 32;
-  small.d_model = 16;
-  small.num_layers = 1;
-  small.num_heads = 2;
-  small.ff_dim = 16;
   facetalk::FaceTalk denoiser(small);
   denoiser->set_code_statistics(at::zeros({4}), at::ones({4}), at::zeros({4}),
                                 at::full({4, 204}, 1e-3));
