@@ -1,10 +1,8 @@
 #include "freetalk/geometry/kriging.h"
 
 #include <Eigen/Cholesky>
-#include <Eigen/Geometry>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <limits>
 #include <unordered_map>
@@ -16,52 +14,18 @@
 #include "freetalk/mesh/components.h"
 #include "freetalk/mesh/normals.h"
 #include "freetalk/mesh/weld.h"
+#include "geometry/triangle_tree.h"
 #include "mesh/kd_tree.h"
 
 namespace freetalk::geometry {
 namespace {
 
 using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-using Corners = std::array<Eigen::Vector3d, 3>;
 
 // What a normal at right angles counts as, m: where the place is guessed, and where it is exact.
 constexpr double kGuessed = 6e-3, kExact = 6e-4;
 constexpr double kOnSurface = 2e-4;  // m: a point this near lies on the surface
 constexpr double kAnySide = -2.0;    // cosine
-
-/// Barycentric weights of the point of a segment nearest to `point`.
-std::pair<double, double> nearest_on_edge(const Eigen::Vector3d& a, const Eigen::Vector3d& b,
-                                          const Eigen::Vector3d& point) {
-  const Eigen::Vector3d edge = b - a;
-  const double share = (point - a).dot(edge) / std::max(edge.squaredNorm(), 1e-30);
-  const double t = std::clamp(share, 0.0, 1.0);
-  return {1.0 - t, t};
-}
-
-/// Barycentric weights of the point of a triangle nearest to `point`.
-Eigen::Vector3d nearest_in_triangle(const Corners& corners, const Eigen::Vector3d& point) {
-  const Eigen::Vector3d ab = corners[1] - corners[0], ac = corners[2] - corners[0],
-                        ap = point - corners[0];
-  const double d00 = ab.dot(ab), d01 = ab.dot(ac), d11 = ac.dot(ac), d20 = ap.dot(ab),
-               d21 = ap.dot(ac), area = d00 * d11 - d01 * d01;
-  if (area > 1e-12 * d00 * d11) {
-    const double v = (d11 * d20 - d01 * d21) / area, w = (d00 * d21 - d01 * d20) / area;
-    if (v >= 0 && w >= 0 && v + w <= 1) return {1 - v - w, v, w};
-  }
-  Eigen::Vector3d best = Eigen::Vector3d::Zero();
-  double least = std::numeric_limits<double>::infinity();
-  for (size_t i = 0; i < 3; ++i) {
-    const size_t j = (i + 1) % 3;
-    const auto [a, b] = nearest_on_edge(corners[i], corners[j], point);
-    const double distance = (a * corners[i] + b * corners[j] - point).squaredNorm();
-    if (distance >= least) continue;
-    least = distance;
-    best.setZero();
-    best[static_cast<Eigen::Index>(i)] = a;
-    best[static_cast<Eigen::Index>(j)] = b;
-  }
-  return best;
-}
 
 /// (N,) the vertex of each point, by distance and normal.
 Eigen::VectorXi nearest_vertices(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
@@ -98,14 +62,12 @@ SurfacePoints places_around(const Eigen::MatrixXd& vertices, const Eigen::Matrix
     for (int i = 0; i < 3; ++i) {
       const auto around = asked.find(faces(f, i));
       if (around == asked.end()) continue;
-      Corners corners;
-      for (int c = 0; c < 3; ++c) corners[static_cast<size_t>(c)] = vertices.row(faces(f, c));
+      const Eigen::Vector3d a = vertices.row(faces(f, 0)), b = vertices.row(faces(f, 1)),
+                            c = vertices.row(faces(f, 2));
       for (const Eigen::Index n : around->second) {
         const Eigen::Vector3d point = points.row(n);
-        const Eigen::Vector3d shares = nearest_in_triangle(corners, point);
-        const double distance =
-            (shares[0] * corners[0] + shares[1] * corners[1] + shares[2] * corners[2] - point)
-                .norm();
+        const Eigen::Vector3d shares = nearest_in_triangle(point, a, b, c);
+        const double distance = (shares[0] * a + shares[1] * b + shares[2] * c - point).norm();
         if (distance >= result.distance[n]) continue;
         result.distance[n] = distance;
         result.corners.row(n) = faces.row(f);

@@ -11,33 +11,8 @@
 namespace freetalk::geometry {
 namespace {
 
-constexpr int kDepth = 64;  // halves of at most 2^31 triangles fit
-
-/// The point of triangle abc nearest to p (Ericson, "Real-Time Collision Detection", 5.1.5). An
-/// edge of no length has no say.
-Eigen::Vector3d nearest_on_triangle(const Eigen::Vector3d& p, const Eigen::Vector3d& a,
-                                    const Eigen::Vector3d& b, const Eigen::Vector3d& c) {
-  const auto share = [](double part, double rest) {
-    return part + rest > 0.0 ? part / (part + rest) : 0.0;
-  };
-  const Eigen::Vector3d ab = b - a, ac = c - a, ap = p - a;
-  const double d1 = ab.dot(ap), d2 = ac.dot(ap);
-  if (d1 <= 0.0 && d2 <= 0.0) return a;
-  const Eigen::Vector3d bp = p - b;
-  const double d3 = ab.dot(bp), d4 = ac.dot(bp);
-  if (d3 >= 0.0 && d4 <= d3) return b;
-  const double vc = d1 * d4 - d3 * d2;
-  if (vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 && d1 > d3) return a + share(d1, -d3) * ab;
-  const Eigen::Vector3d cp = p - c;
-  const double d5 = ab.dot(cp), d6 = ac.dot(cp);
-  if (d6 >= 0.0 && d5 <= d6) return c;
-  const double vb = d5 * d2 - d1 * d6;
-  if (vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 && d2 > d6) return a + share(d2, -d6) * ac;
-  const double va = d3 * d6 - d5 * d4;
-  if (va <= 0.0 && d4 >= d3 && d5 >= d6) return b + share(d4 - d3, d5 - d6) * (c - b);
-  const double scale = 1.0 / (va + vb + vc);
-  return a + vb * scale * ab + vc * scale * ac;
-}
+constexpr int kDepth = 64;            // halves of at most 2^31 triangles fit
+constexpr double kLeastArea = 1e-12;  // squared, relative to the sides': what rounding leaves
 
 double squared_to_box(const Eigen::Vector3d& p, const Eigen::Vector3d& low,
                       const Eigen::Vector3d& high) {
@@ -54,6 +29,52 @@ double half_solid_angle(const Eigen::Vector3d& a, const Eigen::Vector3d& b,
 }
 
 }  // namespace
+
+Eigen::Vector3d nearest_in_triangle(const Eigen::Vector3d& p, const Eigen::Vector3d& a,
+                                    const Eigen::Vector3d& b, const Eigen::Vector3d& c) {
+  const auto share = [](double part, double rest) {
+    return part + rest > 0.0 ? part / (part + rest) : 0.0;
+  };
+  const Eigen::Vector3d ab = b - a, ac = c - a, ap = p - a;
+  const double d1 = ab.dot(ap), d2 = ac.dot(ap);
+  if (d1 <= 0.0 && d2 <= 0.0) return {1.0, 0.0, 0.0};
+  const Eigen::Vector3d bp = p - b;
+  const double d3 = ab.dot(bp), d4 = ac.dot(bp);
+  if (d3 >= 0.0 && d4 <= d3) return {0.0, 1.0, 0.0};
+  const double vc = d1 * d4 - d3 * d2;
+  if (vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 && d1 > d3) {
+    const double t = share(d1, -d3);
+    return {1.0 - t, t, 0.0};
+  }
+  const Eigen::Vector3d cp = p - c;
+  const double d5 = ab.dot(cp), d6 = ac.dot(cp);
+  if (d6 >= 0.0 && d5 <= d6) return {0.0, 0.0, 1.0};
+  const double vb = d5 * d2 - d1 * d6;
+  if (vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 && d2 > d6) {
+    const double t = share(d2, -d6);
+    return {1.0 - t, 0.0, t};
+  }
+  const double va = d3 * d6 - d5 * d4;
+  if (va <= 0.0 && d4 >= d3 && d5 >= d6) {
+    const double t = share(d4 - d3, d5 - d6);
+    return {0.0, 1.0 - t, t};
+  }
+  const double area = va + vb + vc, ab2 = ab.squaredNorm(), ac2 = ac.squaredNorm();
+  if (area > kLeastArea * ab2 * ac2) return {va / area, vb / area, vc / area};
+  // Rounding decided: the longest edge is all there is of the triangle.
+  const double bc2 = (c - b).squaredNorm();
+  const auto along = [](double part, double whole) { return std::clamp(part / whole, 0.0, 1.0); };
+  if (ab2 >= std::max(ac2, bc2)) {
+    const double t = along(d1, ab2);
+    return {1.0 - t, t, 0.0};
+  }
+  if (ac2 >= bc2) {
+    const double t = along(d2, ac2);
+    return {1.0 - t, 0.0, t};
+  }
+  const double t = along(d4 - d3, bc2);
+  return {0.0, 1.0 - t, t};
+}
 
 TriangleTree::TriangleTree(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces) {
   triangles_.reserve(static_cast<size_t>(faces.rows()));
@@ -138,7 +159,8 @@ TriangleTree::Nearest TriangleTree::nearest(const Eigen::Vector3d& point) const 
     if (node.right == 0) {
       for (int i = node.begin; i < node.end; ++i) {
         const Triangle& t = triangles_[i];
-        const Eigen::Vector3d at = nearest_on_triangle(point, t.a, t.b, t.c);
+        const Eigen::Vector3d shares = nearest_in_triangle(point, t.a, t.b, t.c);
+        const Eigen::Vector3d at = shares[0] * t.a + shares[1] * t.b + shares[2] * t.c;
         const double distance = (at - point).squaredNorm();
         if (distance < best.squared || (distance == best.squared && t.face < best.face)) {
           best = {at, distance, t.face};

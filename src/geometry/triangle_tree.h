@@ -7,6 +7,11 @@
 
 namespace freetalk::geometry {
 
+/// Barycentric weights of the point of triangle abc nearest to p (Ericson, "Real-Time Collision
+/// Detection", 5.1.5). An edge of no length has no say.
+Eigen::Vector3d nearest_in_triangle(const Eigen::Vector3d& p, const Eigen::Vector3d& a,
+                                    const Eigen::Vector3d& b, const Eigen::Vector3d& c);
+
 class TriangleTree {
  public:
   struct Nearest {

@@ -2,7 +2,12 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <array>
 #include <cmath>
+#include <cstdlib>
+
+#include "geometry/triangle_tree.h"
 
 namespace freetalk::geometry {
 namespace {
@@ -47,6 +52,25 @@ SurfacePoints at_vertices(const std::vector<int>& vertices) {
 }
 
 constexpr int kBelow = 21 * 9 + 10, kAbove = 21 * 12 + 10;  // 15 mm apart across the slit
+
+TEST(NearestInTriangle, IsOnTheLongestEdgeWhereThereIsNoArea) {
+  std::srand(3);
+  for (int trial = 0; trial < 5000; ++trial) {
+    const Eigen::Vector3d from = Eigen::Vector3d::Random(), along = Eigen::Vector3d::Random();
+    const Eigen::Vector3d point = from + 2.0 * Eigen::Vector3d::Random();
+    const double t = (point - from).dot(along) / along.squaredNorm();
+    const double expected = (from + std::clamp(t, 0.0, 1.0) * along - point).norm();
+    std::array<double, 3> places{0.0, std::rand() / double(RAND_MAX), 1.0};
+    std::rotate(places.begin(), places.begin() + trial % 3, places.end());
+    Eigen::Matrix3d corners;
+    for (int i = 0; i < 3; ++i) corners.col(i) = from + places[static_cast<size_t>(i)] * along;
+    const Eigen::Vector3d shares =
+        nearest_in_triangle(point, corners.col(0), corners.col(1), corners.col(2));
+    EXPECT_NEAR(shares.sum(), 1.0, 1e-12);
+    EXPECT_GE(shares.minCoeff(), 0.0);
+    EXPECT_NEAR((corners * shares - point).norm(), expected, 1e-12);  // of numbers around 1
+  }
+}
 
 TEST(Kriging, KeepsTheValuesAtThePoints) {
   const Square square(false);
