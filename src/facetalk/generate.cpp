@@ -14,14 +14,6 @@
 namespace freetalk::facetalk {
 namespace {
 
-/// A seed for the noise of one step: neighbours share nothing (splitmix64).
-uint64_t seed_of(uint64_t seed, uint64_t step) {
-  uint64_t value = seed + (step + 1) * 0x9E3779B97F4A7C15ULL;
-  value = (value ^ (value >> 30)) * 0xBF58476D1CE4E5B9ULL;
-  value = (value ^ (value >> 27)) * 0x94D049BB133111EBULL;
-  return value ^ (value >> 31);
-}
-
 /// Noise of frame after frame, the same however many are taken at a time.
 class FrameNoise {
  public:
@@ -107,7 +99,8 @@ struct CodeStream::State {
     for (size_t motion = 0; motion < seeds.size(); ++motion) {
       std::vector<FrameNoise>& own = noise[motion];
       while (own.size() <= number) {
-        own.emplace_back(seed_of(seeds[motion], own.size()), model->options().code_dim, floats);
+        own.emplace_back(core::splitmix64(seeds[motion], own.size()), model->options().code_dim,
+                         floats);
       }
       drawn.push_back(own[number].take(frames));
     }

@@ -8,6 +8,8 @@
 #include <cmath>
 #include <limits>
 
+#include "freetalk/core/random.h"
+
 namespace freetalk::geometry {
 namespace {
 
@@ -106,14 +108,11 @@ void scale_rows(const TallBlock& x, const Eigen::VectorXd& factors, TallBlock& t
   });
 }
 
-/// The same numbers in (-1, 1) on every machine (splitmix64, S. Vigna).
+/// The same numbers in (-1, 1) on every machine.
 void fill_random(uint64_t seed, TallBlock& x) {
-  uint64_t state = seed * 0x9e3779b97f4a7c15ull;
   for (int64_t i = 0; i < x.rows() * kBlockWidth; ++i) {
-    state += 0x9e3779b97f4a7c15ull;
-    uint64_t z = (state ^ (state >> 30)) * 0xbf58476d1ce4e5b9ull;
-    z = (z ^ (z >> 27)) * 0x94d049bb133111ebull;
-    x.data()[i] = std::ldexp(static_cast<double>((z ^ (z >> 31)) >> 11), -52) - 1.0;
+    const uint64_t bits = core::splitmix64(0, seed + static_cast<uint64_t>(i));
+    x.data()[i] = std::ldexp(static_cast<double>(bits >> 11), -52) - 1.0;
   }
 }
 
