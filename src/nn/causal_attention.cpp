@@ -1,7 +1,5 @@
 #include "freetalk/nn/causal_attention.h"
 
-#include <torch/nn/init.h>
-
 #include <algorithm>
 #include <cmath>
 
@@ -48,19 +46,10 @@ CausalSpan causal_span(int64_t first, int64_t num_frames, int64_t window, int64_
   return span;
 }
 
-CausalAttentionImpl::CausalAttentionImpl(int64_t d_model, int64_t num_heads, double dropout)
-    : num_heads_(num_heads), dropout_(dropout) {
-  in_proj_weight = register_parameter("in_proj_weight", torch::empty({3 * d_model, d_model}));
-  in_proj_bias = register_parameter("in_proj_bias", torch::zeros({3 * d_model}));
-  out_proj = register_module("out_proj", torch::nn::Linear(d_model, d_model));
-  torch::nn::init::xavier_uniform_(in_proj_weight);
-  torch::nn::init::zeros_(out_proj->bias);
-}
-
 at::Tensor CausalAttentionImpl::forward(const at::Tensor& x, const CausalSpan& span, int64_t window,
                                         PastFrames* past) {
   const at::Tensor qkv = at::linear(x, in_proj_weight, in_proj_bias)
-                             .unflatten(-1, {3, num_heads_, x.size(-1) / num_heads_})
+                             .unflatten(-1, {3, num_heads(), x.size(-1) / num_heads()})
                              .permute({2, 0, 3, 1, 4});  // (3, B, heads, T, d_head)
   const at::Tensor query = rotated(qkv[0], span);
   at::Tensor keys = rotated(qkv[1], span), values = qkv[2];
@@ -73,9 +62,7 @@ at::Tensor CausalAttentionImpl::forward(const at::Tensor& x, const CausalSpan& s
     past->keys = keys.slice(2, leave).clone();
     past->values = values.slice(2, leave).clone();
   }
-  const at::Tensor attended = at::scaled_dot_product_attention(query, keys, values, span.allowed,
-                                                               is_training() ? dropout_ : 0.0);
-  return out_proj->forward(attended.transpose(1, 2).flatten(-2));  // (B, T, d)
+  return attended(query, keys, values, span.allowed);
 }
 
 }  // namespace freetalk::nn

@@ -131,9 +131,7 @@ at::Tensor FilmDecoderLayerImpl::forward(const at::Tensor& x, const at::Tensor& 
   const at::Tensor crossed =
       options_.aligned ? heard : multihead_attn_(before(norm2_, y), heard, heard_valid);
   y = after(norm2_, placed(1, y, crossed, terms));
-  const at::Tensor hidden = linear1_(before(norm3_, y));
-  const at::Tensor active =
-      options_.transformer.activation == "gelu" ? at::gelu(hidden) : at::relu(hidden);
+  const at::Tensor active = options_.transformer.activated(linear1_(before(norm3_, y)));
   return after(norm3_, placed(2, y, linear2_(dropout_(active)), terms));
 }
 

@@ -16,7 +16,11 @@ void TransformerLayerOptions::check() const {
                  "activation must be gelu or relu, found ", activation);
 }
 
-MultiheadAttentionImpl::MultiheadAttentionImpl(int64_t d_model, int64_t num_heads, double dropout)
+at::Tensor TransformerLayerOptions::activated(const at::Tensor& hidden) const {
+  return activation == "gelu" ? at::gelu(hidden) : at::relu(hidden);
+}
+
+AttentionHeads::AttentionHeads(int64_t d_model, int64_t num_heads, double dropout)
     : num_heads_(num_heads), dropout_(dropout) {
   in_proj_weight = register_parameter("in_proj_weight", torch::empty({3 * d_model, d_model}));
   in_proj_bias = register_parameter("in_proj_bias", torch::zeros({3 * d_model}));
@@ -25,8 +29,17 @@ MultiheadAttentionImpl::MultiheadAttentionImpl(int64_t d_model, int64_t num_head
   torch::nn::init::zeros_(out_proj->bias);
 }
 
+at::Tensor AttentionHeads::attended(const at::Tensor& query, const at::Tensor& keys,
+                                    const at::Tensor& values, const at::Tensor& allowed) {
+  const c10::optional<at::Tensor> mask =
+      allowed.defined() ? c10::make_optional(allowed) : c10::nullopt;
+  const at::Tensor heads =
+      at::scaled_dot_product_attention(query, keys, values, mask, is_training() ? dropout_ : 0.0);
+  return out_proj->forward(heads.transpose(1, 2).flatten(-2));  // (B, T, d)
+}
+
 at::Tensor MultiheadAttentionImpl::split_heads(const at::Tensor& x) const {
-  return x.unflatten(-1, {num_heads_, x.size(-1) / num_heads_})
+  return x.unflatten(-1, {num_heads(), x.size(-1) / num_heads()})
       .transpose(1, 2);  // (B, heads, T, d_head)
 }
 
@@ -44,11 +57,7 @@ at::Tensor MultiheadAttentionImpl::forward(const at::Tensor& query, const at::Te
             .split(d, -1);
     k = parts[0], v = parts[1];
   }
-  const c10::optional<at::Tensor> mask =
-      allowed.defined() ? c10::make_optional(allowed) : c10::nullopt;
-  const at::Tensor attended = at::scaled_dot_product_attention(
-      split_heads(q), split_heads(k), split_heads(v), mask, is_training() ? dropout_ : 0.0);
-  return out_proj->forward(attended.transpose(1, 2).flatten(-2));  // (B, T, d)
+  return attended(split_heads(q), split_heads(k), split_heads(v), allowed);
 }
 
 TransformerDecoderLayerImpl::TransformerDecoderLayerImpl(const TransformerLayerOptions& options)
@@ -69,9 +78,7 @@ TransformerDecoderLayerImpl::TransformerDecoderLayerImpl(const TransformerLayerO
 }
 
 at::Tensor TransformerDecoderLayerImpl::feed_forward(const at::Tensor& x) {
-  const at::Tensor hidden = linear1_(x);
-  const at::Tensor active = options_.activation == "gelu" ? at::gelu(hidden) : at::relu(hidden);
-  return linear2_(dropout_(active));
+  return linear2_(dropout_(options_.activated(linear1_(x))));
 }
 
 at::Tensor TransformerDecoderLayerImpl::forward(const at::Tensor& x, const at::Tensor& memory,

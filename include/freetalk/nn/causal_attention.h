@@ -2,11 +2,7 @@
 // continued from the keys and values of the frames before it.
 #pragma once
 
-#include <torch/nn/module.h>
-#include <torch/nn/modules/linear.h>
-#include <torch/nn/pimpl.h>
-
-#include <utility>
+#include "freetalk/nn/transformer.h"
 
 namespace freetalk::nn {
 
@@ -29,10 +25,10 @@ struct CausalSpan {
 CausalSpan causal_span(int64_t first, int64_t num_frames, int64_t window, int64_t head_dim,
                        bool rotary, const at::TensorOptions& options);
 
-/// Multi-head causal self-attention. Parameter names equal torch.nn.MultiheadAttention's.
-class CausalAttentionImpl : public torch::nn::Module {
+/// Multi-head causal self-attention.
+class CausalAttentionImpl : public AttentionHeads {
  public:
-  CausalAttentionImpl(int64_t d_model, int64_t num_heads, double dropout);
+  using AttentionHeads::AttentionHeads;
 
   /// @param x (B, T, d). @param span of the T frames.
   /// @param window as of the span. @param past if not null: read, then brought to the last
@@ -40,13 +36,6 @@ class CausalAttentionImpl : public torch::nn::Module {
   /// @returns (B, T, d).
   at::Tensor forward(const at::Tensor& x, const CausalSpan& span, int64_t window,
                      PastFrames* past = nullptr);
-
-  at::Tensor in_proj_weight, in_proj_bias;  // (3d, d), (3d,): q, k, v
-  torch::nn::Linear out_proj{nullptr};
-
- private:
-  int64_t num_heads_;
-  double dropout_;
 };
 TORCH_MODULE(CausalAttention);
 

@@ -18,27 +18,42 @@ struct TransformerLayerOptions {
   bool norm_first = false;          // false: post-norm as in Vaswani et al.
   std::string activation = "gelu";  // "gelu" or "relu"
   void check() const;
+  /// What the feed-forward network's first layer gives, through its activation.
+  at::Tensor activated(const at::Tensor& hidden) const;
 };
 
-/// Multi-head scaled dot-product attention, softmax(Q K^T / sqrt(d_head)) V [FreeTalk Eq. 7-10].
-class MultiheadAttentionImpl : public torch::nn::Module {
+/// What attentions share: projections named and begun as torch.nn.MultiheadAttention's.
+class AttentionHeads : public torch::nn::Module {
  public:
-  MultiheadAttentionImpl(int64_t d_model, int64_t num_heads, double dropout);
-
-  /// @param query (B, T, d). @param memory (B, S, d). @param allowed bool, broadcastable to (B,
-  /// heads, T, S); true
-  ///   where attention may go; undefined: everywhere.
-  at::Tensor forward(const at::Tensor& query, const at::Tensor& memory, const at::Tensor& allowed);
+  AttentionHeads(int64_t d_model, int64_t num_heads, double dropout);
 
   int64_t num_heads() const { return num_heads_; }
 
   at::Tensor in_proj_weight, in_proj_bias;  // (3d, d), (3d,): q, k, v
   torch::nn::Linear out_proj{nullptr};
 
+ protected:
+  /// softmax(Q K^T / sqrt(d_head)) V of (B, heads, T or S, d_head), put together: (B, T, d).
+  at::Tensor attended(const at::Tensor& query, const at::Tensor& keys, const at::Tensor& values,
+                      const at::Tensor& allowed);
+
  private:
-  at::Tensor split_heads(const at::Tensor& x) const;
   int64_t num_heads_;
   double dropout_;
+};
+
+/// Multi-head scaled dot-product attention [FreeTalk Eq. 7-10].
+class MultiheadAttentionImpl : public AttentionHeads {
+ public:
+  using AttentionHeads::AttentionHeads;
+
+  /// @param query (B, T, d). @param memory (B, S, d). @param allowed bool, broadcastable to (B,
+  /// heads, T, S); true
+  ///   where attention may go; undefined: everywhere.
+  at::Tensor forward(const at::Tensor& query, const at::Tensor& memory, const at::Tensor& allowed);
+
+ private:
+  at::Tensor split_heads(const at::Tensor& x) const;
 };
 TORCH_MODULE(MultiheadAttention);
 
