@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "freetalk/core/error.h"
+#include "freetalk/diffusion/sampler.h"
 #include "freetalk/geometry/alignment.h"
 
 namespace freetalk::talker {
@@ -66,10 +67,7 @@ void AnimateOptions::check() const {
   FREETALK_CHECK(seed >= 0, "seed must not be negative, found ", seed);
   FREETALK_CHECK(motion == "ats" || motion == "facetalk", "motion must be ats or facetalk, found '",
                  motion, "'");
-  FREETALK_CHECK(!sampler || *sampler == "ddim" || *sampler == "ddpm" || *sampler == "renoise" ||
-                     *sampler == "dpmpp",
-                 "sampler must be ddim, ddpm, renoise or dpmpp, found '", sampler.value_or(""),
-                 "'");
+  if (sampler) diffusion::SamplerOptions{*sampler}.check();
   FREETALK_CHECK(num_steps.value_or(1) >= 1, "num_steps must be at least 1, found ",
                  num_steps.value_or(1));
   FREETALK_CHECK(
