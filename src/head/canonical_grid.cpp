@@ -64,15 +64,7 @@ void CanonicalGrid::ask_missing(const float* points, int64_t count) {
     }
   }
   if (missing.empty()) return;
-  at::Tensor places = at::empty({static_cast<int64_t>(missing.size()), 3}, at::kFloat);
-  auto* to = places.mutable_data_ptr<float>();
-  for (const int64_t corner : missing) {
-    const auto place = lattice_.place(corner);
-    for (size_t axis = 0; axis < 3; ++axis) {
-      *to++ = static_cast<float>(origin_[axis] + static_cast<double>(place[axis]) * spacing_[axis]);
-    }
-  }
-  const at::Tensor values = head_.unfaded_sdf(places);
+  const at::Tensor values = head_.unfaded_sdf(lattice_.points(missing, origin_, spacing_));
   const auto* from = values.const_data_ptr<float>();
   for (const int64_t corner : missing) lattice_.value(corner) = *from++;
   num_evaluations_ += static_cast<int64_t>(missing.size());

@@ -2,6 +2,8 @@
 // corners made when first touched.
 #pragma once
 
+#include <ATen/ATen.h>
+
 #include <algorithm>
 #include <array>
 #include <cstdint>
@@ -22,6 +24,20 @@ class Lattice {
   int64_t id(int64_t x, int64_t y, int64_t z) const { return (x * side_ + y) * side_ + z; }
   std::array<int64_t, 3> place(int64_t id) const {
     return {id / (side_ * side_), id / side_ % side_, id % side_};
+  }
+
+  /// Places (N, 3) float32 of corners of a grid that begins at `origin`.
+  at::Tensor points(const std::vector<int64_t>& corners, const double* origin,
+                    const double* spacing) const {
+    at::Tensor result = at::empty({static_cast<int64_t>(corners.size()), 3}, at::kFloat);
+    auto* to = result.mutable_data_ptr<float>();
+    for (const int64_t corner : corners) {
+      const auto at = place(corner);
+      for (size_t axis = 0; axis < 3; ++axis) {
+        *to++ = static_cast<float>(origin[axis] + static_cast<double>(at[axis]) * spacing[axis]);
+      }
+    }
+    return result;
   }
 
   /// The value at a corner; NaN where none was given.

@@ -136,17 +136,8 @@ struct SurfaceExtractor::State {
       missing.push_back(corner);
     }
     if (missing.empty()) return;
-    at::Tensor points = at::empty({static_cast<int64_t>(missing.size()), 3}, at::kFloat);
-    auto* to = points.mutable_data_ptr<float>();
-    for (const int64_t corner : missing) {
-      const auto place = lattice.place(corner);
-      const double at[3] = {static_cast<double>(place[0]), static_cast<double>(place[1]),
-                            static_cast<double>(place[2])};
-      box.place(at, to);
-      to += 3;
-    }
-    evaluations += points.size(0);
-    const at::Tensor values = field(points);
+    evaluations += static_cast<int64_t>(missing.size());
+    const at::Tensor values = field(lattice.points(missing, box.low, box.spacing));
     FREETALK_RUNTIME_CHECK(values.isfinite().all().item<bool>(),
                            "extract: the field is not finite: check the codes and the weights");
     const auto* from = values.const_data_ptr<float>();
