@@ -3,7 +3,7 @@
 
     python scripts/page_pictures.py [--out docs/page]
 
-play.webp     a take, the moment of an open mouth, its phones under the waveform
+play.webp     a take at the moment of its widest motion
 curves.webp   ARKit's weights over time, light
 compare.webp  two takes side by side, one measured against the other
 create.webp   `freetalk serve`: emotions over time, takes that are kept
@@ -39,7 +39,8 @@ sys.path.insert(0, str(ROOT / "tests" / "python"))
 
 from browser import Visit, browser  # noqa: E402
 
-DESK, PHONE = (1280, 760), (390, 780)
+DESK, TALL, PHONE = (1280, 760), (1280, 1020), (390, 780)
+SECONDS = 3.0  # of speech
 TOKEN = "pictures"
 
 
@@ -52,15 +53,17 @@ def main() -> None:
     talker = ft.Talker.from_pretrained("open-small")
     vertices, faces = mean_face("face")
     mesh = ft.Mesh(vertices, faces.tolist(), name="face")
-    clip = ft.load_audio(assets.speech_clip())
+    whole = ft.load_audio(assets.speech_clip())
+    clip = ft.Audio(whole.samples[: int(SECONDS * whole.sample_rate_hz)], whole.sample_rate_hz)
     face = talker.prepare(mesh)
     takes = {emotion: face.animate(clip, emotion=emotion) for emotion in ("happy", "angry")}
     with tempfile.TemporaryDirectory() as folder, browser() as chromium:
-        file = Path(folder) / "talk.html"
+        file, speech = Path(folder) / "talk.html", Path(folder) / "speech.wav"
+        ft.audio.save_wav(speech, clip)
         page.save_page(takes, file)
         player(chromium, file.as_uri(), takes["happy"], out)
         with served(Studio(talker, mesh)) as address:
-            studio(chromium, address, assets.speech_clip(), out)
+            studio(chromium, address, speech, out)
 
 
 def player(chromium: Any, address: str, animation: ft.Animation, out: Path) -> None:
@@ -89,7 +92,7 @@ def player(chromium: Any, address: str, animation: ft.Animation, out: Path) -> N
 
 def studio(chromium: Any, address: str, speech: Path, out: Path) -> None:
     """The page with its server."""
-    visit = Visit(chromium, address, DESK, permissions=["microphone"])
+    visit = Visit(chromium, address, TALL, permissions=["microphone"])
     visit.until("s.connected")
     visit.page.set_input_files("#sound-file", speech)
     visit.page.wait_for_selector("#generate:enabled", timeout=60000)
@@ -105,6 +108,7 @@ def studio(chromium: Any, address: str, speech: Path, out: Path) -> None:
         visit.page.keyboard.press("ArrowRight")
     visit.page.click("#generate")
     visit.until("s.takes.length === 2", 600)
+    visit.page.evaluate("() => document.getElementById('choose-sound').scrollIntoView()")
     save(visit, out / "create.webp")
     visit.page.click("#tab-live-button")
     visit.page.click("#live-start")

@@ -93,8 +93,10 @@ std::shared_ptr<const Face::State> Face::State::prepare(std::shared_ptr<const Ta
                                                  models->face.normals,
                                                  {options.unit, options.up, options.forward});
   if (!report.alignment.face_like) {
-    report.notices.push_back(
-        core::join(report.alignment.summary, ": give unit, up and forward if the guess is wrong"));
+    report.notices.push_back(core::join(report.alignment.summary,
+                                        report.alignment.guessed
+                                            ? ": give unit, up and forward if the guess is wrong"
+                                            : ": check the unit, up and forward that were given"));
   }
   face->frame = frame_of(report.alignment);
   const auto& pose = report.alignment.to_canonical;

@@ -163,6 +163,7 @@ def test_unknown_emotion_lists_the_known_ones(
     captured = capsys.readouterr()
     assert len(captured.err.strip().splitlines()) == 1
     assert "hungry" in captured.err and "happy" in captured.err and "contempt" in captured.err
+    assert not captured.out  # said before the mesh is prepared
     assert not list(tmp_path.iterdir())
 
 

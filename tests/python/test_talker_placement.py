@@ -129,3 +129,4 @@ def test_what_is_no_face_is_refused_unless_told(
         talker.prepare(mesh, cache_dir=None, progress=False)
     told = talker.prepare(mesh, unit="m", up="+y", forward="+z", cache_dir=None, progress=False)
     assert "does not look like a face" in told.report.notices[0]
+    assert told.report.notices[0].endswith("check the unit, up and forward that were given")

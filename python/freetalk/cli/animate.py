@@ -24,7 +24,7 @@ from freetalk.cli.outputs import (
     inputs,
     parse_outputs,
 )
-from freetalk.cli.weights import check_intensity, find_weights
+from freetalk.cli.weights import check_emotion, check_intensity, find_weights
 
 if TYPE_CHECKING:
     import freetalk
@@ -55,6 +55,7 @@ def run(arguments: argparse.Namespace) -> None:
     jobs = plan(arguments)
     weights = find_weights(arguments.pretrained)
     check_intensity(arguments.intensity, weights)
+    check_emotion(arguments.emotion, weights)
     check_support({output.format for job in jobs for output in job.outputs})
     report = Report(arguments.quiet)
 

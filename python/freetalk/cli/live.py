@@ -15,7 +15,7 @@ from freetalk.cli.animate import Report, built_in_face
 from freetalk.cli.live_out import PacedFrames
 from freetalk.cli.mesh_options import preparation
 from freetalk.cli.outputs import check_readable
-from freetalk.cli.weights import check_intensity, find_weights
+from freetalk.cli.weights import check_emotion, check_intensity, find_weights
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,6 +31,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Feeds a live stream and prints frames per second and latency once a second."""
     weights = find_weights(arguments.pretrained)
     check_intensity(arguments.intensity, weights)
+    check_emotion(arguments.emotion, weights)
     mesh_file = None
     if arguments.mesh is not None:
         mesh_file = check_readable(arguments.mesh, "a mesh (OBJ, PLY, OFF, STL or glTF)")

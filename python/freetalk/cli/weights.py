@@ -8,7 +8,14 @@ from typing import Any
 
 from freetalk._pretrained import find_weights, installed
 
-__all__ = ["check_intensity", "find_weights", "installed", "motion_options", "shipped_emotions"]
+__all__ = [
+    "check_emotion",
+    "check_intensity",
+    "find_weights",
+    "installed",
+    "motion_options",
+    "shipped_emotions",
+]
 
 
 def motion_options(folder: Path) -> dict[str, Any]:
@@ -23,6 +30,20 @@ def shipped_emotions() -> list[str]:
     folder = next(installed(), None)
     emotions: list[str] = ["neutral", "happy", "angry"]
     return emotions if folder is None else motion_options(folder)["emotions"]
+
+
+def check_emotion(text: str, folder: Path) -> None:
+    """Makes sure that the weights know every emotion of a text, ``auto`` aside.
+
+    Raises:
+        ValueError: they do not, or it is no emotion.
+    """
+    from freetalk.ats import emotion_track
+    from freetalk.talker.voice import AUTO
+
+    if text != AUTO:
+        emotions = motion_options(folder)["emotions"]
+        emotion_track(text, emotions, intensity=1.0, num_frames=1, fps=30.0)
 
 
 def check_intensity(given: float | None, folder: Path) -> None:
