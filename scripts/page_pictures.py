@@ -6,8 +6,8 @@
 play.webp     a take at the moment of its widest motion
 curves.webp   ARKit's weights over time, light
 compare.webp  two takes side by side, one measured against the other
+start.webp    `freetalk serve` as it opens
 create.webp   `freetalk serve`: emotions over time, takes that are kept
-live.webp     `freetalk serve`: speech from the microphone
 phone.webp    a take on a phone
 
 Needs chromium, playwright and the extras [serve]. Takes some minutes of CPU.
@@ -92,8 +92,9 @@ def player(chromium: Any, address: str, animation: ft.Animation, out: Path) -> N
 
 def studio(chromium: Any, address: str, speech: Path, out: Path) -> None:
     """The page with its server."""
-    visit = Visit(chromium, address, TALL, permissions=["microphone"])
+    visit = Visit(chromium, address, TALL)
     visit.until("s.connected")
+    save(visit, out / "start.webp")
     visit.page.set_input_files("#sound-file", speech)
     visit.page.wait_for_selector("#generate:enabled", timeout=60000)
     visit.page.focus("#pad")
@@ -110,10 +111,6 @@ def studio(chromium: Any, address: str, speech: Path, out: Path) -> None:
     visit.until("s.takes.length === 2", 600)
     visit.page.evaluate("() => document.getElementById('choose-sound').scrollIntoView()")
     save(visit, out / "create.webp")
-    visit.page.click("#tab-live-button")
-    visit.page.click("#live-start")
-    visit.until("s.live && s.received > 60", 300)
-    save(visit, out / "live.webp")
     visit.close()
 
 
