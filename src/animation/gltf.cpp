@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "core/file.h"
+#include "file_metadata.h"
 #include "freetalk/mesh/appearance.h"
 #include "gltf_file.h"
 #include "gltf_parts.h"
@@ -280,7 +281,7 @@ Json document(const Animation& animation, const BlendShapes& shapes, const Grid&
   const mesh::Appearance look = mesh::load_appearance(animation.mesh);
   Json root;
   root["asset"] = {{"version", "2.0"}, {"generator", "freetalk"}};
-  add_facts(root, animation);
+  add_facts(root, animation, metadata_in_metres(animation));
   const bool moves = animation.head.defined();
   root["scene"] = 0;
   root["scenes"] = Json::array({{{"nodes", {moves ? kHeadNode : kFaceNode}}}});
@@ -308,9 +309,9 @@ void use_extension(Json& root, const char* list, const char* name) {
   if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
 }
 
-void add_facts(Json& root, const Animation& animation) {
+void add_facts(Json& root, const Animation& animation, Json metadata) {
   root["asset"]["extras"]["fps"] = animation.fps;
-  root["asset"]["extras"]["metadata"] = Json::parse(animation.metadata_json);
+  root["asset"]["extras"]["metadata"] = std::move(metadata);
 }
 
 void add_sound(Json& root, GltfBuffer& buffer, const Animation& animation,

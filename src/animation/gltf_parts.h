@@ -13,8 +13,8 @@ namespace freetalk::animation {
 void add_sound(Json& root, GltfBuffer& buffer, const Animation& animation,
                const std::filesystem::path& path);
 
-/// Frame rate, unit and metadata, in asset.extras.
-void add_facts(Json& root, const Animation& animation);
+/// Frame rate and metadata, in asset.extras.
+void add_facts(Json& root, const Animation& animation, Json metadata);
 
 /// Adds a name to a list of extensions unless it is there.
 void use_extension(Json& root, const char* list, const char* name);

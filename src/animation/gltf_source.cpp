@@ -272,7 +272,7 @@ bool save_into_source(const std::filesystem::path& path, const Animation& animat
   } catch (const nlohmann::json::exception&) {
     source->document.fail("is damaged or cut short; export it again");
   }
-  add_facts(root, animation);
+  add_facts(root, animation, Json::parse(animation.metadata_json));
   if (options.sound && !animation.audio.samples.empty()) add_sound(root, buffer, animation, path);
   report.num_files = write_gltf(path, std::move(root), buffer);
   report.into_source = true;

@@ -7,6 +7,7 @@
 #include <map>
 
 #include "core/file.h"
+#include "file_metadata.h"
 #include "freetalk/mesh/appearance.h"
 #include "head_track.h"
 #include "morph_normals.h"
@@ -51,7 +52,8 @@ class Layer {
  private:
   void header() {
     text_ << "#usda 1.0\n(\n    customLayerData = {\n        string freetalk = "
-          << quoted(animation_.metadata_json) << "\n    }\n    defaultPrim = \"Face\"\n"
+          << quoted(metadata_in_metres(animation_).dump())
+          << "\n    }\n    defaultPrim = \"Face\"\n"
           << "    endTimeCode = " << animation_.num_frames() - 1
           << "\n    framesPerSecond = " << animation_.fps
           << "\n    metersPerUnit = 1\n    startTimeCode = 0\n    timeCodesPerSecond = "

@@ -21,6 +21,7 @@ from freetalk.corpus import assets
 from freetalk.exports import blender_script, load_curves, save_curves
 from freetalk.exports.curves import CSV_NAMES
 from freetalk.rig import RigPoses
+from freetalk.viz.sequence import as_sequence
 
 MM = 1e3
 POSES = Path(freetalk.__file__).parent / "pretrained/open-small/rig_poses.safetensors"
@@ -104,6 +105,30 @@ def test_what_is_written_comes_back(tmp_path: Path, name: str, head: bool) -> No
     if head:
         rest = found.displacements.abs().amax() / animation.displacements.abs().amax()
         assert rest == pytest.approx(0.01, rel=0.1)
+
+
+@pytest.mark.parametrize("name", ["a.glb", "a.usda"])
+def test_the_face_lies_where_a_file_says(tmp_path: Path, name: str) -> None:
+    if "usd" in name:
+        pytest.importorskip("pxr")
+    talking = face_animation(3)
+    turn = Rotation.from_euler("xyz", [0.1, 0.2, -1.4]).as_matrix()
+    pose = {"scale": 0.0098, "rotation": turn.tolist(), "translation": [0.01, -0.02, 0.03]}
+    animation = Animation(
+        talking.mesh,
+        talking.displacements,
+        fps=25,
+        metres_per_unit=0.01,
+        to_y_up=np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]),
+        metadata={"alignment": {"unit": "cm", "to_canonical": pose}},
+    )
+    animation.save(tmp_path / name)
+    expected, found = (
+        as_sequence(each) for each in (animation, freetalk.load_animation(tmp_path / name))
+    )
+    np.testing.assert_allclose(
+        found.upright(found.vertices), expected.upright(expected.vertices), atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("name", ["a.glb", "a.usda", "a.usdc"])

@@ -35,13 +35,15 @@ def shipped_emotions() -> list[str]:
 def check_emotion(text: str, folder: Path) -> None:
     """Makes sure that the weights know every emotion of a text, ``auto`` aside.
 
+    What incomplete weights lack is said when they are loaded.
+
     Raises:
         ValueError: they do not, or it is no emotion.
     """
     from freetalk.ats import emotion_track
     from freetalk.talker.voice import AUTO
 
-    if text != AUTO:
+    if text != AUTO and (folder / "ats" / "config.json").is_file():
         emotions = motion_options(folder)["emotions"]
         emotion_track(text, emotions, intensity=1.0, num_frames=1, fps=30.0)
 
