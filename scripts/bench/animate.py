@@ -33,14 +33,14 @@ def speech(seconds: float) -> np.ndarray:
 
 
 def face(num_vertices: int) -> tuple[np.ndarray, np.ndarray]:
-    """The mean face; for more vertices each of its triangles cut into four, of fewer faces again."""
+    """The mean face; for more vertices each of its triangles cut into four, and simplified to as many."""
     from freetalk.corpus import assets
 
     vertices, faces = assets.mean_face("face")
     vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces)
     while len(vertices) < num_vertices:
         vertices, faces = subdivide(vertices, faces)
-    return crop(vertices, faces, num_vertices)
+    return simplified(vertices, faces, num_vertices)
 
 
 def subdivide(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -60,15 +60,21 @@ def subdivide(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.n
     )
 
 
-def crop(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The `count` vertices nearest the nose and the faces between them."""
+def simplified(
+    vertices: np.ndarray, faces: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """About `count` vertices of the same surface, by quadric error."""
     if len(vertices) == count:
         return vertices, faces
-    nose = vertices[np.argmax(vertices[:, 2])]
-    order = np.argsort(np.linalg.norm(vertices - nose, axis=1), kind="stable")[:count]
-    index = np.full(len(vertices), -1)
-    index[order] = np.arange(count)
-    return vertices[order], index[faces[(index[faces] >= 0).all(axis=1)]]
+    import fast_simplification
+
+    triangles = (
+        faces if faces.shape[1] == 3 else np.concatenate([faces[:, :3], faces[:, [0, 2, 3]]])
+    )
+    wanted = round(len(triangles) * count / len(vertices))
+    return fast_simplification.simplify(
+        vertices.astype(np.float32), triangles.astype(np.int32), target_count=wanted
+    )
 
 
 def measure(num_vertices: int, seconds: float, threads: int, precision: str) -> dict[str, object]:
