@@ -10,6 +10,7 @@ import pytest
 import torch
 from mini_corpus import write_mini_corpus
 from test_head import tiny
+from test_head_fit import ball
 
 from freetalk.cli import main
 from freetalk.corpus.heads import head_model
@@ -68,6 +69,27 @@ def test_captured_frames_are_fitted(
         s.source for s in data.sequences() if not np.allclose(data.codes(s, 0), before[s.id])
     }
     assert changed == {"facegood"}
+
+
+def test_a_head_is_scored_by_region(
+    corpus: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rounded = ball(coefficients=100)
+    options = rounded.options
+    options.box_min, options.box_max = [-0.4] * 3, [0.4] * 3  # where it was trained to be a ball
+    names = list(head_model().expression_names)
+    options.num_weights, options.expressions = len(names), names
+    model = ParametricHead(options).eval()
+    state = {k: v for k, v in rounded.state_dict().items() if k != "canonical_weights"}
+    model.load_state_dict(state, strict=False)
+    model.save_pretrained(tmp_path / "head")
+    common = ["head", "score", "--head", str(tmp_path / "head"), "--data", str(corpus)]
+    assert main([*common, "--identities", "1", "--expressions", "1"]) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()[1:]]
+    assert [line[:2] for line in lines] == [
+        [kind, region] for kind in ("canonical", "posed") for region in ("face", "lips", "head")
+    ]
+    assert all(float(line[2]) > 3 for line in lines)  # mm: a ball is no head
 
 
 def test_a_head_of_other_expressions_is_refused(

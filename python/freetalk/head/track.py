@@ -44,7 +44,7 @@ def track(
     """
     return _native.head.track(
         head.native,
-        torch.as_tensor(template, dtype=torch.float32),
+        _float32(template),
         z_exp,
         refined=[int(v) for v in refined],
         options=options or TrackOptions(),
@@ -66,9 +66,7 @@ def canonical_template(
     Returns:
         (V, 3) float32, metres.
     """
-    return _native.head.canonical_template(
-        head.native, torch.as_tensor(vertices, dtype=torch.float32), z_exp
-    )
+    return _native.head.canonical_template(head.native, _float32(vertices), z_exp)
 
 
 def smoothing_weights(
@@ -76,3 +74,10 @@ def smoothing_weights(
 ) -> torch.Tensor:
     """Weights w of FaceTalk's Eq. 14, (N,) in [0, 1], at points (N, 3) in head units."""
     return _native.head.smoothing_weights(head.native, points, options)
+
+
+def _float32(values: torch.Tensor | np.ndarray) -> torch.Tensor:
+    """A copy where an array may not be written to, as those of surfaces."""
+    if isinstance(values, torch.Tensor):
+        return values.to(torch.float32)
+    return torch.tensor(values, dtype=torch.float32)
