@@ -28,7 +28,8 @@ at::Tensor spoken_codes(const TalkerModels& models, const at::Tensor& samples,
   const auto features = speech::encode_speech(encoder, samples, own.fps, encoding,
                                               [&](double share) { stages.at(share); });
   stages.begin("motion");
-  return facetalk::generate(denoiser, features.to(device), code_options(options, precision),
+  return facetalk::generate(denoiser, features.to(device),
+                            code_options(options, precision, models.generate),
                             {seeds.begin(), seeds.end()}, [&](int64_t done, int64_t total) {
                               stages.at(static_cast<double>(done) / static_cast<double>(total));
                             });
@@ -85,14 +86,14 @@ std::vector<Motion> spoken_motion(const TalkerModels& models, const audio::Audio
 
 }  // namespace
 
-facetalk::GenerateOptions code_options(const AnimateOptions& options,
-                                       const std::string& precision) {
+facetalk::GenerateOptions code_options(const AnimateOptions& options, const std::string& precision,
+                                       const ats::GenerateOptions& weights) {
   facetalk::GenerateOptions own;
   own.sampler = options.sampler.value_or("dpmpp");
   own.num_steps = options.num_steps.value_or(own.sampler == "dpmpp" ? kDpmSolverSteps : 50);
   own.eta = options.eta.value_or(own.eta);
   own.audio_guidance = options.audio_guidance.value_or(own.audio_guidance);
-  own.temperature = options.mouth_temperature.value_or(own.temperature);
+  own.temperature = options.mouth_temperature.value_or(weights.mouth_temperature);
   own.precision = precision;
   return own;
 }
@@ -143,7 +144,7 @@ void check_performance(const audio::Audio& audio, const std::vector<int64_t>& se
   if (options.motion == "facetalk") {
     FREETALK_CHECK(models.facetalk, "these weights hold no facetalk/: train one with `freetalk ",
                    "train facetalk` into their folder, or leave motion at ats");
-    code_options(options, precision).check();
+    code_options(options, precision, models.generate).check();
   } else {
     sampling_options(options, precision, models.generate).check();
   }

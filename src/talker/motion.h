@@ -19,8 +19,10 @@ namespace freetalk::talker {
 ats::GenerateOptions sampling_options(const AnimateOptions& options, const std::string& precision,
                                       ats::GenerateOptions own);
 
-/// The same for AnimateOptions::motion "facetalk", whose temperature is that of all motion.
-facetalk::GenerateOptions code_options(const AnimateOptions& options, const std::string& precision);
+/// The same for AnimateOptions::motion "facetalk", whose temperature is that of all motion: that of
+/// the weights' mouth, unless chosen.
+facetalk::GenerateOptions code_options(const AnimateOptions& options, const std::string& precision,
+                                       const ats::GenerateOptions& weights);
 
 /// The emotion over time. @throws std::invalid_argument for text that cannot be read, unknown
 /// emotions, intensities that the weights do not have.
