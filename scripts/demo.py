@@ -2,7 +2,7 @@
 
     scripts/demo [--out DIR] [--size PIXELS] [--seed N]
 
-Writes face.obj, and for each emotion a .glb and an .mp4, and contact_sheet.png with all of them.
+Writes face.obj, and for each emotion a .glb with its sound beside it and an .mp4, and contact_sheet.png with all of them.
 """
 
 from __future__ import annotations

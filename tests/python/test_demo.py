@@ -55,7 +55,8 @@ def test_demo_writes_what_it_promises(
     monkeypatch.setattr(sys, "argv", ["demo", *words])
     demo.main()
     names = {entry.name for entry in out.iterdir()}
-    expected = {f"{emotion}.{kind}" for emotion in ("neutral", "happy") for kind in ("glb", "mp4")}
+    kinds = ("glb", "mp4", "speech.wav")  # the sound lies beside a .glb too
+    expected = {f"{emotion}.{kind}" for emotion in ("neutral", "happy") for kind in kinds}
     assert names == expected | {"face.obj", "contact_sheet.png"}
     printed = capsys.readouterr().out
     assert str(out.resolve()) in printed and "motion" in printed
