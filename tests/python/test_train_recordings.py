@@ -57,6 +57,29 @@ def test_a_batch_of_recordings_holds_their_phones_and_no_motion(
     assert terms["phones"] > 0 and terms["curves"] == 0 and terms["opening"] == 0
 
 
+def test_another_voice_says_the_same_phones_at_its_own_tempo(corpus: Path, tmp_path: Path) -> None:
+    """A take that is silent in its pauses still is where its labels say so, however it is said."""
+    times = np.arange(6 * 16000) / 16000
+    heard = times % 1.0 > 0.5
+    soundfile.write(tmp_path / "a.wav", 0.3 * heard * np.sin(2 * np.pi * 300 * times), 16000)
+    labels = [[n / 2, (n + 1) / 2, "AH" if n % 2 else "sil"] for n in range(12)]
+    (tmp_path / "phones.json").write_text(json.dumps({"a.wav": labels}))
+    options = [f"task.recordings=[{tmp_path / 'phones.json'}]", "task.voices=1", "task.augment=0"]
+    options += ["task.source_weights={recorded: 1.0, synthetic: 1e-9}", "task.pieces=1"]
+    config = load_config("speech", CONFIGS / "speech_smoke.yaml", [*options, "loop.device=cpu"])
+    task = make_task(config, open_dataset(corpus), tmp_path, torch.device("cpu"))
+    rng = np.random.default_rng(4)
+    agreed, tempos = [], set()
+    for number in range(12):
+        item = task.item(rng, number)
+        silent = item["phones"] == task.targets.phones.index("sil")
+        middles = 200 + 320 * np.arange(len(silent))
+        level = np.array([np.abs(item["clean"][max(0, m - 80) : m + 80]).max() for m in middles])
+        agreed += ((level < 0.05) == silent)[item["valid"]].tolist()
+        tempos.add(int(np.ptp(np.flatnonzero(np.diff(silent.astype(int))))))
+    assert np.mean(agreed) > 0.93 and len(tempos) > 2
+
+
 def test_the_dictionarys_schwa_is_ah_only_beside_recordings(corpus: Path, aligned: Path) -> None:
     reader = open_dataset(corpus)
     train = [s for s in reader.sequences("train") if s.has_sound]

@@ -10,9 +10,11 @@ from freetalk.corpus.stretch import stretched
 
 FloatArray = npt.NDArray[np.float32]
 
+#: How much faster than the wave a drawn voice speaks at most.
+FASTEST_VOICE = 1.14
 #: Spread of the size of drawn voices, and the tempos at which they speak.
 _VOICE_OCTAVES = 0.2
-_TEMPO = (0.88, 1.14)
+_TEMPO = (0.88, FASTEST_VOICE)
 
 
 def change_speed(wave: FloatArray, speed: float) -> FloatArray:

@@ -18,7 +18,7 @@ from torch.nn import functional
 
 from freetalk.data import Dataset, MotionSequence
 from freetalk.speech import SpeechEncoder, SpeechEncoderOptions, normalize_wave
-from freetalk.train.augment import augment_wave, change_speed
+from freetalk.train.augment import FASTEST_VOICE, augment_wave, change_speed, change_voice
 from freetalk.train.checkpoint import export_model
 from freetalk.train.checks import NO_VALIDATION
 from freetalk.train.config import TrainingConfig
@@ -247,12 +247,19 @@ class SpeechTask:
         """`length` samples of a sequence, and the targets at the samples `centres` of it."""
         rate = self.corpus.sample_rate_hz
         reach = self.options.speed_range if altered else 0.0
-        speed = 1.0 + rng.uniform(-reach, reach)
+        revoiced = altered and rng.random() < self.options.voices
+        most = FASTEST_VOICE if revoiced else 1.0 + reach
         heard_in = self.recordings if sequence.source == RECORDED else self.corpus
         source = heard_in.audio(sequence)
-        needed = int(length * speed) + 2
+        needed = int(length * most) + 2
         start = int(rng.integers(0, max(1, len(source) - needed + 1)))
-        clean = change_speed(source[start : start + needed], speed)[:length]
+        clean = source[start : start + needed]
+        if revoiced:
+            clean, speed = change_voice(clean, rng, rate)
+        else:
+            speed = 1.0 + rng.uniform(-reach, reach)
+            clean = change_speed(clean, speed)
+        clean = clean[:length]
         heard = len(clean)
         clean = np.pad(clean, (0, length - heard))
         wave = clean

@@ -266,6 +266,7 @@ class SpeechTaskOptions:
             proportion to their length.
         augment: share of the crops whose audio is changed (level, noise, room, band limits).
         speed_range: largest relative change of speed and pitch.
+        voices: share of the pieces that another voice says instead: pitch and formants changed together, tempo by itself.
         phone_weight: weight of the frame-wise phone class.
         mel_weight: weight of the log-mel regression.
         curve_weight: weight of the regression of expression curves.
@@ -282,6 +283,7 @@ class SpeechTaskOptions:
     source_weights: dict[str, float] = field(default_factory=dict)
     augment: float = 0.7
     speed_range: float = 0.12
+    voices: float = 0.0
     phone_weight: float = 1.0
     mel_weight: float = 0.3
     curve_weight: float = 1.0
@@ -293,4 +295,4 @@ class SpeechTaskOptions:
         """Raises ValueError where a value is out of range."""
         require(self.crop_s >= 1.0, "task.crop_s must be at least 1", self.crop_s)
         require(self.pieces >= 1, "task.pieces must be at least 1", self.pieces)
-        require_shares(self, "augment")
+        require_shares(self, "augment", "voices")
