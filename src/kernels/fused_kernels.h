@@ -30,15 +30,6 @@ struct Epilogue {
   bool relu = false;
 };
 
-/// Gradients of the vertices: at v, sum over e in first[v] .. first[v + 1] - 1 of weight[2 e] (X)
-/// and weight[2 e + 1] (Y) times the value at neighbor[e].
-struct GradientRows {
-  int64_t vertices;
-  const int32_t* first;
-  const int32_t* neighbor;
-  const float* weight;
-};
-
 template <class T>
 struct Kernels {
   int64_t panel;
@@ -49,12 +40,10 @@ struct Kernels {
   /// sums (K, C) += basis^T x over `rows` rows, both grouped; K a multiple of 8, C of the panel.
   void (*accumulate)(const T* basis, const T* x, int64_t rows, int64_t k, int64_t columns,
                      float* sums);
-  /// z = tanh(x_X re + x_Y im) with re = u_X - w_Y, im = u_Y + w_X, where _X and _Y are the
-  /// components of a gradient. @param fields (vertices, 3 panel): a panel of columns of x, u, w
-  /// each.
+  /// z = tanh(x_X (u_X - w_Y) + x_Y (u_Y + w_X)), where _X and _Y are components of gradients.
+  /// @param fields (rows, 6 panel): a panel of columns of x_X, u_X, w_X, x_Y, u_Y, w_Y each.
   /// @param z a panel of columns of rows with this stride.
-  void (*gradient_features)(const GradientRows& gradient, const float* fields, T* z,
-                            int64_t stride);
+  void (*gradient_features)(int64_t rows, const float* fields, T* z, int64_t stride);
   /// Softmax over the first `count` of each row's scores; the rest of the result is not touched.
   void (*softmax)(const float* scores, int64_t rows, int64_t stride, int64_t count, T* result);
   void (*convert)(const float* x, int64_t count, T* result);

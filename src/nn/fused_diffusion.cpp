@@ -31,16 +31,15 @@ bool FusedDiffusion::supports(DiffusionNetImpl& net, const geometry::SurfaceOper
 bool FusedDiffusion::supports_bfloat16() { return kernels::bfloat16_kernels() != nullptr; }
 
 FusedDiffusion::FusedDiffusion(DiffusionNetImpl& net, const geometry::SurfaceOperators& operators,
-                               const at::Tensor& base, const at::Tensor& queries,
-                               const at::Tensor& mixing, bool bfloat16) {
+                               const FusedInput& input, bool bfloat16) {
   FREETALK_CHECK(supports(net, operators),
                  "FusedDiffusion: this network or these operators need the general forward pass");
   if (bfloat16 && supports_bfloat16()) {
     engine_ = std::make_unique<fused::FusedEngine<uint16_t>>(*kernels::bfloat16_kernels(), net,
-                                                             operators, base, queries, mixing);
+                                                             operators, input);
   } else {
     engine_ = std::make_unique<fused::FusedEngine<float>>(kernels::float_kernels(), net, operators,
-                                                          base, queries, mixing);
+                                                          input);
   }
 }
 

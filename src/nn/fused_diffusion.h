@@ -1,11 +1,11 @@
 // A DiffusionNet on one mesh for inference on a CPU, many frames of it, without autograd.
 //
-// A block needs of the mesh only Phi, M Phi and the sparse gradients: with the spectrum
-// s = exp(-lambda t) Phi^T M x, what is diffused is Phi s, and what the gradient features multiply
-// it with is Phi (s A). Once their gradients are known, every vertex goes through the block by
-// itself: vertices go through in tiles of rows that stay in the cache, neighbours close together,
-// and the next block's Phi^T M x is summed up on the way. Products run in float32 or, where the
-// processor multiplies it, in bfloat16 with float32 sums, residuals, spectra and gradients.
+// A block needs of the mesh only Phi, M Phi and G Phi, with the gradients G: with the spectrum
+// s = exp(-lambda t) Phi^T M x, what is diffused is Phi s, its gradient is (G Phi) s, and what the
+// gradient features multiply it with is (G Phi) (s A). So every vertex goes through the block by
+// itself: vertices go through in tiles of rows that stay in the cache, and the next block's
+// Phi^T M x is summed up on the way. Products run in float32 or, where the processor multiplies it,
+// in bfloat16 with float32 sums, residuals and spectra.
 #pragma once
 
 #include <ATen/core/Tensor.h>
@@ -24,6 +24,12 @@ struct FrameInputs {
   at::Tensor values;   // (T, H, N, e)
 };
 
+/// What the network starts from: base (V, C), queries (H, V, d), mixing W (C, H e); queries and
+/// mixing undefined without attention.
+struct FusedInput {
+  at::Tensor base, queries, mixing;
+};
+
 class FusedDiffusion {
  public:
   /// Whether this network on these operators is one it can run: spectral, with gradient features,
@@ -33,17 +39,15 @@ class FusedDiffusion {
   static bool supports_bfloat16();
 
   /// Copies what it needs; later changes of the network do not reach it.
-  /// @param base (V, C). @param queries (H, V, d). @param mixing W, (C, H e). Both undefined
-  /// without attention.
   FusedDiffusion(DiffusionNetImpl& net, const geometry::SurfaceOperators& operators,
-                 const at::Tensor& base, const at::Tensor& queries, const at::Tensor& mixing,
-                 bool bfloat16);
+                 const FusedInput& input, bool bfloat16);
   ~FusedDiffusion();
   FusedDiffusion(FusedDiffusion&&) noexcept;
   FusedDiffusion& operator=(FusedDiffusion&&) noexcept;
 
   /// @param in_work frames in work at a time, at most one a thread.
-  /// @returns (T, V, out_channels) float32. A frame's result does not depend on the others.
+  /// @returns (T, V, out_channels) float32. A frame's result
+  /// does not depend on the others.
   at::Tensor run(const FrameInputs& inputs, int64_t num_frames, int64_t in_work) const;
 
   /// Bytes that a frame in work takes.

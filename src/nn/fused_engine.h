@@ -12,8 +12,8 @@
 
 #include "core/parallel.h"
 #include "core/work_pool.h"
+#include "freetalk/nn/sparse.h"
 #include "fused_layout.h"
-#include "mesh_rows.h"
 #include "nn/fused_diffusion.h"
 
 namespace freetalk::nn {
@@ -34,18 +34,16 @@ template <class T>
 class FusedEngine final : public FusedDiffusion::Engine {
  public:
   FusedEngine(const Kernels<T>& kernels, DiffusionNetImpl& net,
-              const geometry::SurfaceOperators& operators, const at::Tensor& base,
-              const at::Tensor& queries, const at::Tensor& mixing)
+              const geometry::SurfaceOperators& operators, const FusedInput& input)
       : kernels_(kernels),
-        mesh_(operators),
         vertices_(operators.num_vertices()),
-        tiles_((vertices_ + kTile - 1) / kTile),
         width_(net.options().width),
         outputs_(net.options().out_channels),
         columns_(round_up(width_, kernels.panel)),
         modes_(round_up(operators.k_eig(), kEigenBlock)) {
-    prepare_mesh(operators, base);
-    if (queries.defined()) prepare_attention(queries, mixing);
+    prepare_mesh(operators);
+    base_ = padded(plain(input.base), vertices_, columns_);
+    if (input.queries.defined()) prepare_attention(input.queries, input.mixing);
     for (DiffusionNetBlock block : net.blocks()) prepare_block(*block, operators.evals);
     last_weight_ = padded(plain(net.last_lin->weight), outputs_, columns_);
     last_bias_ = plain(net.last_lin->bias);
@@ -71,24 +69,18 @@ class FusedEngine final : public FusedDiffusion::Engine {
 
   int64_t bytes_per_frame() const override {
     constexpr auto kFloat = static_cast<int64_t>(sizeof(float));
-    const int64_t of_vertex =
-        columns_ * (kFloat + static_cast<int64_t>(sizeof(T))) + field_row() * kFloat;
-    return vertices_ * of_vertex + (4 * kTile + 7 * modes_) * columns_ * kFloat;
+    return (vertices_ + 8 * kTile + 7 * modes_) * columns_ * kFloat;
   }
 
  private:
-  /// bfloat16 keeps eigenvectors as differences from their mean over a tile: gradients are made of
-  /// differences between neighbours, which would drown in the rounding of the whole.
-  static constexpr bool kCentred = !std::is_same_v<T, float>;
-
   struct Block {
     std::vector<T> a_re, a_im, of_x, of_diffused, of_products, second, third;
     at::Tensor decay, bias[3];  // (modes, columns), (columns,)
   };
 
-  /// A frame's state and a tile's.
+  /// A frame's state, x, and a tile's.
   struct Work {
-    std::vector<float> x, sums, spectrum, scores, fields, centres, of_project;
+    std::vector<float> x, sums, spectrum, scores, fields, of_project;
     std::vector<T> packed[3], mixed, rows, z, element, first, second, grouped, weights, attended;
     std::vector<std::vector<T>> keys, values;  // of each head, packed
 
@@ -96,12 +88,11 @@ class FusedEngine final : public FusedDiffusion::Engine {
         : x(size(e.vertices_ * e.columns_)),
           sums(size(e.modes_ * e.columns_)),
           spectrum(sums.size()),
-          fields(size(e.vertices_ * e.field_row())),
-          centres(size(kCentred ? e.tiles_ * e.field_row() : 0)),
+          fields(size(kTile * e.field_row())),
           of_project(size(kTile * e.outputs_)),
           mixed(sums.size()),
           rows(sums.size()),
-          z(x.size()),
+          z(size(kTile * e.columns_)),
           element(size(kTile * e.columns_)),
           first(element.size()),
           second(element.size()),
@@ -121,14 +112,18 @@ class FusedEngine final : public FusedDiffusion::Engine {
     static size_t size(int64_t count) { return static_cast<size_t>(count); }
   };
 
-  void prepare_mesh(const geometry::SurfaceOperators& operators, const at::Tensor& base) {
-    const at::Tensor evecs = plain(operators.evecs).index_select(0, mesh_.order);
+  /// Gradients of what is diffused are those of the eigenvectors, times its spectrum: they are no
+  /// differences of rounded neighbours, and a vertex needs no other.
+  void prepare_mesh(const geometry::SurfaceOperators& operators) {
+    const at::Tensor evecs = plain(operators.evecs);
+    const at::Tensor weighted = evecs * plain(operators.mass).unsqueeze(1);
     basis_ = rows_of(kernels_, padded(evecs, vertices_, modes_));
-    if constexpr (kCentred) centre(evecs);
-    const at::Tensor mass = plain(operators.mass).index_select(0, mesh_.order);
-    const at::Tensor weighted = padded(evecs * mass.unsqueeze(1), round_up(vertices_, 2), modes_);
-    weighted_ = grouped_rows(kernels_, weighted);
-    base_ = padded(plain(base).index_select(0, mesh_.order), vertices_, columns_);
+    weighted_ = grouped_rows(kernels_, padded(weighted, round_up(vertices_, 2), modes_));
+    const at::Tensor both = sparse_product(operators.gradients, evecs.unsqueeze(0))[0];  // (2 V, K)
+    for (int64_t axis = 0; axis < 2; ++axis) {
+      const at::Tensor gradient = both.narrow(0, axis * vertices_, vertices_);
+      gradients_[axis] = rows_of(kernels_, padded(gradient, vertices_, modes_));
+    }
   }
 
   /// Heads lie side by side in a row of what was attended to. A head's product ends with zeros up
@@ -144,29 +139,8 @@ class FusedEngine final : public FusedDiffusion::Engine {
     const at::Tensor whole = padded(weight, attended_columns(), columns_);
     kernels_.pack(whole.const_data_ptr<float>(), attended_columns(), columns_, mixing_.data());
     for (int64_t head = 0; head < heads_; ++head) {
-      const at::Tensor ordered = plain(queries[head]).index_select(0, mesh_.order);
-      queries_.push_back(rows_of(kernels_, padded(ordered, vertices_, head_columns_)));
+      queries_.push_back(rows_of(kernels_, padded(plain(queries[head]), vertices_, head_columns_)));
     }
-  }
-
-  void in_two_parts(const at::Tensor& x, std::vector<T>* parts) const {
-    const at::Tensor rounded = x.to(at::kBFloat16).to(at::kFloat);
-    parts[0] = rows_of(kernels_, rounded);
-    parts[1] = rows_of(kernels_, x - rounded);
-  }
-
-  /// The basis less its mean over each tile, and those means, in two parts each, exact to 2^-16.
-  void centre(const at::Tensor& evecs) {
-    at::Tensor rest = at::empty({vertices_, modes_}, at::kFloat);
-    at::Tensor means = at::zeros({tiles_, modes_}, at::kFloat);
-    const at::Tensor wide = padded(evecs, vertices_, modes_);
-    for (int64_t tile = 0; tile < tiles_; ++tile) {
-      const int64_t first = tile * kTile, rows = std::min(kTile, vertices_ - first);
-      means[tile].copy_(wide.narrow(0, first, rows).mean(0));
-      rest.narrow(0, first, rows).copy_(wide.narrow(0, first, rows) - means[tile]);
-    }
-    in_two_parts(rest, centred_);
-    in_two_parts(means, means_);
   }
 
   void prepare_block(DiffusionNetBlockImpl& block, const at::Tensor& evals) {
@@ -201,7 +175,6 @@ class FusedEngine final : public FusedDiffusion::Engine {
       const Block& block = blocks_[index];
       const bool last = index + 1 == blocks_.size();
       prepare_spectrum(block, work);
-      gradient_features(work);
       std::fill(work.sums.begin(), work.sums.end(), 0.0F);
       for (int64_t v = 0; v < vertices_; v += kTile) {
         const int64_t rows = std::min(kTile, vertices_ - v);
@@ -212,19 +185,13 @@ class FusedEngine final : public FusedDiffusion::Engine {
     project(work, result);
   }
 
-  /// The last layer; its rows go where the mesh has them.
+  /// The last layer.
   void project(Work& work, float* result) const {
-    const auto* order = mesh_.order.template const_data_ptr<int64_t>();
     for (int64_t v = 0; v < vertices_; v += kTile) {
-      const int64_t rows = std::min(kTile, vertices_ - v);
-      kernels_.project(work.x.data() + v * columns_, rows, columns_,
+      kernels_.project(work.x.data() + v * columns_, std::min(kTile, vertices_ - v), columns_,
                        last_weight_.template const_data_ptr<float>(),
                        last_bias_.template const_data_ptr<float>(), outputs_,
-                       work.of_project.data());
-      for (int64_t row = 0; row < rows; ++row) {
-        std::copy_n(work.of_project.data() + row * outputs_, outputs_,
-                    result + order[v + row] * outputs_);
-      }
+                       result + v * outputs_);
     }
   }
 
@@ -302,47 +269,21 @@ class FusedEngine final : public FusedDiffusion::Engine {
     times(block.of_diffused, work.mixed);
   }
 
-  /// Three panels, side by side: the sum over `left` of rows of modes times a part, plus a row.
-  void multiply_parts(std::initializer_list<const T*> left, const T* const* parts, int64_t rows,
-                      const float* plus, float* result) const {
-    const int64_t panel = kernels_.panel;
-    for (int64_t part = 0; part < 3; ++part, result += panel) {
-      Segment<T> segments[2];
-      int64_t count = 0;
-      for (const T* a : left) segments[count++] = {a, modes_, parts[part], modes_};
-      Epilogue epilogue;
-      if (plus != nullptr) epilogue.bias = plus + part * panel;
-      kernels_.product(segments, count, rows, panel, epilogue, result, nullptr, field_row());
-    }
-  }
-
-  /// z of all vertices, a panel of columns at a time: what is diffused, and it times A_re and A_im,
-  /// then their gradients.
-  void gradient_features(Work& work) const {
+  /// z of a tile, a panel of columns at a time: gradients of what is diffused, of it times A_re
+  /// and of it times A_im.
+  void gradient_features(int64_t v, int64_t rows, Work& work) const {
     const int64_t panel = kernels_.panel, stride = field_row();
-    const GradientRows gradient{vertices_, mesh_.first.data(), mesh_.neighbor.data(),
-                                mesh_.weight.data()};
     for (int64_t first = 0; first < columns_; first += panel) {
-      const T* parts[3];
-      for (int64_t part = 0; part < 3; ++part) {
-        parts[part] = work.packed[part].data() + first * modes_;
-      }
-      if constexpr (kCentred) {
-        multiply_parts({means_[0].data(), means_[1].data()}, parts, tiles_, nullptr,
-                       work.centres.data());
-      }
-      for (int64_t tile = 0; tile < tiles_; ++tile) {
-        const int64_t v = tile * kTile;
-        const int64_t rows = std::min(kTile, vertices_ - v), at = v * modes_;
-        float* fields = work.fields.data() + v * stride;
-        if constexpr (kCentred) {
-          multiply_parts({centred_[0].data() + at, centred_[1].data() + at}, parts, rows,
-                         work.centres.data() + tile * stride, fields);
-        } else {
-          multiply_parts({basis_.data() + at}, parts, rows, nullptr, fields);
+      float* field = work.fields.data();
+      for (const std::vector<T>& gradient : gradients_) {
+        for (const std::vector<T>& part : work.packed) {
+          const Segment<T> segment{gradient.data() + v * modes_, modes_,
+                                   part.data() + first * modes_, modes_};
+          kernels_.product(&segment, 1, rows, panel, Epilogue{}, field, nullptr, stride);
+          field += panel;
         }
       }
-      kernels_.gradient_features(gradient, work.fields.data(), work.z.data() + first, columns_);
+      kernels_.gradient_features(rows, work.fields.data(), work.z.data() + first, columns_);
     }
   }
 
@@ -357,6 +298,7 @@ class FusedEngine final : public FusedDiffusion::Engine {
     const auto bias = [&](size_t layer) {
       return block.bias[layer].template const_data_ptr<float>();
     };
+    gradient_features(v, rows, work);
     float* x = work.x.data() + v * n;
     const T* element = nullptr;
     if constexpr (std::is_same_v<T, float>) {
@@ -367,7 +309,7 @@ class FusedEngine final : public FusedDiffusion::Engine {
     }
     multiply({{element, n, block.of_x.data(), n},
               {basis_.data() + v * modes_, modes_, work.mixed.data(), modes_},
-              {work.z.data() + v * n, n, block.of_products.data(), n}},
+              {work.z.data(), n, block.of_products.data(), n}},
              {bias(0), nullptr, true}, nullptr, work.first.data());
     multiply({{work.first.data(), n, block.second.data(), n}}, {bias(1), nullptr, true}, nullptr,
              work.second.data());
@@ -376,13 +318,12 @@ class FusedEngine final : public FusedDiffusion::Engine {
 
   int64_t attended_columns() const { return round_up(heads_ * head_width_, kernels_.group); }
   /// Floats of a vertex's fields.
-  int64_t field_row() const { return 3 * kernels_.panel; }
+  int64_t field_row() const { return 6 * kernels_.panel; }
 
   const Kernels<T>& kernels_;
-  MeshRows mesh_;
-  int64_t vertices_, tiles_, width_, outputs_, columns_, modes_, heads_ = 0, head_columns_ = 0;
+  int64_t vertices_, width_, outputs_, columns_, modes_, heads_ = 0, head_columns_ = 0;
   int64_t head_width_ = 0, value_columns_ = 0, attended_row_ = 0;
-  std::vector<T> basis_, centred_[2], means_[2], weighted_, mixing_;
+  std::vector<T> basis_, gradients_[2], weighted_, mixing_;
   std::vector<std::vector<T>> queries_;
   std::vector<Block> blocks_;
   at::Tensor base_, last_weight_, last_bias_;

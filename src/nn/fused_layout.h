@@ -11,7 +11,6 @@
 namespace freetalk::nn::fused {
 
 using kernels::Epilogue;
-using kernels::GradientRows;
 using kernels::Kernels;
 using kernels::kTile;
 using kernels::Segment;

@@ -98,8 +98,10 @@ FrameDecoder::FrameDecoder(std::shared_ptr<StmImpl> model, const MeshFeatures& m
     const int64_t attended = mesh.queries.defined() ? model_->options().attention_dim : 0;
     const at::Tensor& weight = net->first_lin->weight;
     fused_ = std::make_unique<nn::FusedDiffusion>(
-        *net, operators, mesh.hidden, mesh.queries,
-        weight.narrow(1, weight.size(1) - attended, attended), options.precision == "bfloat16");
+        *net, operators,
+        nn::FusedInput{mesh.hidden, mesh.queries,
+                       weight.narrow(1, weight.size(1) - attended, attended)},
+        options.precision == "bfloat16");
   }
 }
 

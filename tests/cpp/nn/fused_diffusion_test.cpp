@@ -59,7 +59,7 @@ struct Scene {
   }
 
   at::Tensor fused(bool bfloat16, int64_t in_work = 8) {
-    const FusedDiffusion decoder(*net, operators, base, queries, mixing, bfloat16);
+    const FusedDiffusion decoder(*net, operators, {base, queries, mixing}, bfloat16);
     return decoder.run(inputs, kFrames, in_work);
   }
 };
@@ -99,8 +99,8 @@ TEST(FusedDiffusion, HasTheSameBitsForAnyNumberOfThreadsAndFramesInWork) {
 
 TEST(FusedDiffusion, WorkSpacesOfARunServeAnotherWithOtherInputs) {
   Scene scene;
-  const FusedDiffusion decoder(*scene.net, scene.operators, scene.base, scene.queries, scene.mixing,
-                               false);
+  const FusedDiffusion decoder(*scene.net, scene.operators,
+                               {scene.base, scene.queries, scene.mixing}, false);
   const at::Tensor first = decoder.run(scene.inputs, kFrames, 8);
   FrameInputs fewer = scene.inputs;
   fewer.keys = scene.inputs.keys.narrow(2, 0, 3).contiguous();
