@@ -55,7 +55,10 @@ void bind_stm(py::module_& m) {
                              "(68, 3) barycentric on them.")
       .def_property_readonly("weights", &fs::LandmarkFollower::weights,
                              "(V, 68), 0 for landmarks that are not followed.")
-      .def_property_readonly("reach", &fs::LandmarkFollower::reach, "(V, 1) in [0, 1].");
+      .def_property_readonly("reach", &fs::LandmarkFollower::reach, "(V, 1) in [0, 1].")
+      .def_property_readonly(
+          "lengths", &fs::LandmarkFollower::lengths,
+          "(V, 1) m: detail of the network's motion that is finer is taken out.");
   py::class_<fs::FrameDecoder>(m, "FrameDecoder", "STM's decoder for many frames of one mesh.")
       .def(py::init<std::shared_ptr<fs::StmImpl>, const fs::MeshFeatures&,
                     const freetalk::geometry::SurfaceOperators&, const fs::DecodeOptions&,

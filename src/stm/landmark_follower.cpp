@@ -15,17 +15,20 @@ namespace {
 
 using core::kNumLandmarks;
 
-/// (V, 1) how much of the motion is made at each vertex.
-Eigen::MatrixXd reach_of(const Eigen::MatrixXd& vertices, const Eigen::MatrixXd& landmarks,
-                         const FollowOptions& options) {
-  Eigen::MatrixXd reach(vertices.rows(), 1);
+/// (V, 1) m from each vertex to the nearest landmark.
+Eigen::MatrixXd distances_of(const Eigen::MatrixXd& vertices, const Eigen::MatrixXd& landmarks) {
+  Eigen::MatrixXd distances(vertices.rows(), 1);
   for (Eigen::Index v = 0; v < vertices.rows(); ++v) {
-    const double distance =
+    distances(v, 0) =
         std::sqrt((landmarks.rowwise() - vertices.row(v)).rowwise().squaredNorm().minCoeff());
-    const double u = std::clamp((distance - options.near) / (options.far - options.near), 0.0, 1.0);
-    reach(v, 0) = 1.0 - u * u * (3.0 - 2.0 * u);
   }
-  return reach;
+  return distances;
+}
+
+/// How much of the motion is made at a distance.
+double reach_at(double distance, const FollowOptions& options) {
+  const double u = std::clamp((distance - options.near) / (options.far - options.near), 0.0, 1.0);
+  return 1.0 - u * u * (3.0 - 2.0 * u);
 }
 
 }  // namespace
@@ -33,6 +36,9 @@ Eigen::MatrixXd reach_of(const Eigen::MatrixXd& vertices, const Eigen::MatrixXd&
 void FollowOptions::check() const {
   kriging.check();
   FREETALK_CHECK(farthest > 0, "STM: farthest must be positive, found ", farthest);
+  FREETALK_CHECK(detail >= 0 && coarsest >= 0,
+                 "STM: detail and coarsest must not be negative, found ", detail, " and ",
+                 coarsest);
   FREETALK_CHECK(near >= 0 && far > near, "STM: far must be above near, found ", far, " and ",
                  near);
 }
@@ -63,7 +69,11 @@ LandmarkFollower::LandmarkFollower(const Eigen::MatrixXd& vertices, const Eigen:
   corners_ = geometry::to_tensor(places.corners.cast<double>()).to(at::kLong);
   shares_ = plain(places.shares);
   weights_ = plain(weights);
-  reach_ = plain(reach_of(vertices, landmarks, options));
+  const Eigen::MatrixXd distances = distances_of(vertices, landmarks);
+  reach_ = plain(distances.unaryExpr([&](double d) { return reach_at(d, options); }));
+  const Eigen::MatrixXd lengths = (options.detail * distances).cwiseMin(options.coarsest);
+  lengths_ = plain(lengths);
+  if (lengths.maxCoeff() > 0) low_pass_.emplace(vertices, faces, lengths.col(0));
 }
 
 at::Tensor LandmarkFollower::apply(const at::Tensor& displacements,
@@ -76,16 +86,18 @@ at::Tensor LandmarkFollower::apply(const at::Tensor& displacements,
                      landmarks.size(1) == kNumLandmarks && landmarks.size(2) == 3,
                  "STM: expected landmarks (", displacements.size(0), ", 68, 3), found ",
                  landmarks.sizes());
-  const at::Tensor there = displacements.index_select(1, corners_.flatten())
+  const at::Tensor smooth = low_pass_ ? low_pass_->apply(displacements) : displacements;
+  const at::Tensor there = smooth.index_select(1, corners_.flatten())
                                .view({-1, kNumLandmarks, 3, 3})
                                .mul(shares_.unsqueeze(-1))
                                .sum(2);  // (T, 68, 3)
-  return reach_ * (displacements + at::matmul(weights_, landmarks - there));
+  return reach_ * (smooth + at::matmul(weights_, landmarks - there));
 }
 
 LandmarkFollower LandmarkFollower::to(const c10::Device& device) const {
   LandmarkFollower result = *this;
-  for (auto* tensor : {&result.corners_, &result.shares_, &result.weights_, &result.reach_}) {
+  for (auto* tensor :
+       {&result.corners_, &result.shares_, &result.weights_, &result.reach_, &result.lengths_}) {
     *tensor = tensor->to(device);
   }
   return result;

@@ -30,8 +30,10 @@ std::string content_of(const Face::State& face) {
   add(vertices.data(), static_cast<size_t>(vertices.size()) * sizeof(double));
   add(faces.data(), static_cast<size_t>(faces.size()) * sizeof(int));
   if (face.follower) {
-    const at::Tensor weights = face.follower->weights().to(at::kCPU).contiguous();
-    add(weights.const_data_ptr(), weights.nbytes());
+    for (const at::Tensor& part : {face.follower->weights(), face.follower->lengths()}) {
+      const at::Tensor values = part.to(at::kCPU).contiguous();
+      add(values.const_data_ptr(), values.nbytes());
+    }
   }
   add(face.options.precision.data(), face.options.precision.size());
   if (const auto* head = dynamic_cast<const HeadDecoder*>(face.decoder.get())) {

@@ -11,7 +11,7 @@ import torch
 import freetalk
 from freetalk.corpus.assets import EXTENTS, crop_quads, load_face_model, triangulate
 from freetalk.corpus.linear_face import built_in_face
-from freetalk.geometry import surface_operators
+from freetalk.geometry import cotan_laplacian, lumped_mass, surface_operators
 from freetalk.mesh import vertex_normals
 from freetalk.stm import FollowOptions, LandmarkFollower, Stm
 
@@ -136,6 +136,50 @@ def test_a_landmark_off_the_mesh_is_not_followed(
     assert cut.num_followed < 60
     assert cut.weights[:, [8, 57]].abs().max() == 0 and cut.weights[:, 30].max() > 0.5
     assert follower_of(vertices, faces).num_followed == 68
+
+
+def roughness(
+    moved: torch.Tensor, vertices: np.ndarray, faces: np.ndarray, part: np.ndarray
+) -> float:
+    """Root mean square of the displacements' Laplacian over a part of the surface, its slivers aside."""
+    laplacian = cotan_laplacian(vertices, faces)
+    mass = lumped_mass(vertices, faces)
+    part = part & (mass > 0.05 * np.median(mass))
+    flat = moved.double().permute(1, 0, 2).flatten(1).numpy()
+    bent = np.square((laplacian @ flat) / mass[:, None]).sum(axis=1)
+    return float(np.sqrt((bent * mass)[part].sum()))
+
+
+def test_the_surface_is_no_rougher_than_a_faces(
+    head: tuple[np.ndarray, np.ndarray, np.ndarray],
+) -> None:
+    """Around the lips and on the cheeks, of mixed expressions whose true motion is known."""
+    vertices, faces, landmarks = head
+    basis = load_face_model().expression_basis[:, : len(vertices)]
+    weights = np.random.default_rng(0).random((8, len(basis))) ** 4
+    true = torch.from_numpy(np.tensordot(weights, basis, axes=1))
+    stm = Stm.from_pretrained(SHIPPED / "stm").eval()
+    operators = surface_operators(
+        vertices / stm.options.length_scale, faces, k=stm.options.k_eig, cache=False
+    ).to(dtype=torch.float32)
+    with torch.no_grad():
+        features = stm.encode(torch.from_numpy(vertices).float(), operators)
+    told = true[:, landmarks.tolist()].float()
+
+    def output(detail: float) -> torch.Tensor:
+        follower = follower_of(vertices, faces, detail=detail)
+        return stm.frame_decoder(features, operators, follower=follower).decode(told)
+
+    rough, smooth = output(0.0), output(FollowOptions().detail)
+    distance = np.linalg.norm(vertices[:, None] - vertices[landmarks][None], axis=-1)
+    front = vertices[:, 2] > vertices[landmarks[[0, 16]], 2].min()
+    lips = distance[:, 48:60].min(axis=1) < 0.012
+    cheeks = front & (distance.min(axis=1) > 0.012) & (distance.min(axis=1) < 0.045)
+    for part, without in ((lips, 2.0), (cheeks, 1.2)):
+        wanted = roughness(true, vertices, faces, part)
+        assert roughness(rough, vertices, faces, part) > without * wanted
+        assert roughness(smooth, vertices, faces, part) < 1.15 * wanted
+    assert (smooth - true).norm(dim=-1).mean() <= 1.01 * (rough - true).norm(dim=-1).mean()
 
 
 def test_it_is_differentiable(

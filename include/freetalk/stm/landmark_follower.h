@@ -4,26 +4,35 @@
 // told wherever a face moves unlike those of the training. The difference is spread over the
 // surface (regression kriging, geometry/kriging.h) and the whole fades out away from the landmarks:
 //   d(v) = reach(v) [D(v) + sum_i weights(v, i) (dl_i - D(x_i))]
-// It is linear in D and dl, so that a network can be trained through it.
+// Detail of D that is much finer than the way to the nearest landmark is nothing that the landmarks
+// tell, and a network's is rougher than a face's: it is taken out first (geometry/low_pass.h).
+// All is linear in D and dl, so that a network can be trained through it.
 #pragma once
 
 #include <ATen/core/Tensor.h>
 #include <c10/core/Device.h>
 #include <Eigen/Core>
 
+#include <optional>
+
 #include "freetalk/geometry/kriging.h"
+#include "freetalk/geometry/low_pass.h"
 
 namespace freetalk::stm {
 
 struct FollowOptions {
   geometry::KrigingOptions kriging;  // of the difference; range in metres
   double farthest = 0.012;  // m: a landmark farther from the surface than this is not followed
+  double detail = 0.25;     // length of the low-pass, share of the way to the nearest landmark;
+  double coarsest = 0.006;  // m: but no longer than this. 0 keeps the network's detail
   double near = 0.07;       // m: motion is whole nearer to a landmark than this,
   double far = 0.12;        // m: and none beyond this
   template <class V>
   void fields(V& v) {
     kriging.fields(v);
     v("farthest", farthest);
+    v("detail", detail);
+    v("coarsest", coarsest);
     v("near", near);
     v("far", far);
   }
@@ -54,9 +63,11 @@ class LandmarkFollower {
   const at::Tensor& shares() const { return shares_; }    ///< (68, 3) barycentric on them
   const at::Tensor& weights() const { return weights_; }  ///< (V, 68); 0 for what is not followed
   const at::Tensor& reach() const { return reach_; }      ///< (V, 1) in [0, 1]
+  const at::Tensor& lengths() const { return lengths_; }  ///< (V, 1) of the low-pass, m
 
  private:
-  at::Tensor corners_, shares_, weights_, reach_;
+  at::Tensor corners_, shares_, weights_, reach_, lengths_;
+  std::optional<geometry::SurfaceLowPass> low_pass_;
   int64_t num_followed_ = 0;
 };
 

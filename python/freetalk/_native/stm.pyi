@@ -129,6 +129,8 @@ class FollowOptions:
     """
 
     __hash__: typing.ClassVar[None] = None
+    coarsest: typing.Any
+    detail: typing.Any
     far: typing.Any
     farthest: typing.Any
     near: typing.Any
@@ -174,6 +176,11 @@ class LandmarkFollower:
     def corners(self) -> torch.Tensor:
         """
         (68, 3) int64 vertices.
+        """
+    @property
+    def lengths(self) -> torch.Tensor:
+        """
+        (V, 1) m: detail of the network's motion that is finer is taken out.
         """
     @property
     def num_followed(self) -> int:
