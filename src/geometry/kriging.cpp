@@ -23,7 +23,7 @@ namespace {
 using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 // What a normal at right angles counts as, m: where the place is guessed, and where it is exact.
-constexpr double kGuessed = 6e-3, kExact = 6e-4;
+constexpr double kGuessed = 6e-3, kExact = 2e-4;
 constexpr double kOnSurface = 2e-4;  // m: a point this near lies on the surface
 constexpr double kAnySide = -2.0;    // cosine
 
