@@ -280,13 +280,13 @@ Json document(const Animation& animation, const BlendShapes& shapes, const Grid&
               const SaveOptions& options, GltfBuffer& buffer) {
   const mesh::Appearance look = mesh::load_appearance(animation.mesh);
   Json root;
-  root["asset"] = {{"version", "2.0"}, {"generator", "freetalk"}};
+  root["asset"] = {{"version", "2.0"}, {"generator", kGenerator}};
   add_facts(root, animation, metadata_in_metres(animation));
   const bool moves = animation.head.defined();
   root["scene"] = 0;
   root["scenes"] = Json::array({{{"nodes", {moves ? kHeadNode : kFaceNode}}}});
   root["nodes"] = Json::array({node_json(animation, grid)});
-  if (moves) root["nodes"].push_back({{"name", "head"}, {"children", {kFaceNode}}});
+  if (moves) root["nodes"].push_back(head_json({kFaceNode}));
   add_materials(root, look, buffer);
   root["meshes"] = Json::array({mesh_json(animation, shapes, look, grid, options, buffer)});
   GltfTracks tracks(buffer, animation);
@@ -304,6 +304,11 @@ Json document(const Animation& animation, const BlendShapes& shapes, const Grid&
 
 }  // namespace
 
+Json head_json(Json carried) {
+  return {
+      {"name", "head"}, {"children", std::move(carried)}, {"extras", {{"generator", kGenerator}}}};
+}
+
 void use_extension(Json& root, const char* list, const char* name) {
   Json& names = root[list];
   if (std::find(names.begin(), names.end(), name) == names.end()) names.push_back(name);
@@ -316,24 +321,26 @@ void add_facts(Json& root, const Animation& animation, Json metadata) {
 
 void add_sound(Json& root, GltfBuffer& buffer, const Animation& animation,
                const std::filesystem::path& path) {
-  constexpr const char* kExtension = "KHR_audio_emitter";
   Json sound = {{"mimeType", "audio/wav"}};
   if (core::lower_extension(path) == "glb") {
     sound["bufferView"] = buffer.add_bytes(wav_bytes(animation.audio));
   } else {
     sound["uri"] = sound_beside(path).filename().string();
   }
-  Json& all = root["extensions"][kExtension];
+  Json& all = root["extensions"][kAudioExtension];
   const size_t audio = all["audio"].size(), source = all["sources"].size();
   const size_t emitter = all["emitters"].size();
   all["audio"].push_back(sound);
   all["sources"].push_back({{"name", "speech"}, {"audio", audio}, {"autoplay", true}});
-  all["emitters"].push_back({{"name", "speech"}, {"type", "global"}, {"sources", {source}}});
+  all["emitters"].push_back({{"name", "speech"},
+                             {"type", "global"},
+                             {"sources", {source}},
+                             {"extras", {{"generator", kGenerator}}}});
   if (root.contains("scenes") && !root["scenes"].empty()) {
     const size_t scene = root.value("scene", size_t{0});
-    root["scenes"][scene]["extensions"][kExtension]["emitters"].push_back(emitter);
+    root["scenes"][scene]["extensions"][kAudioExtension]["emitters"].push_back(emitter);
   }
-  use_extension(root, "extensionsUsed", kExtension);
+  use_extension(root, "extensionsUsed", kAudioExtension);
 }
 
 SaveReport save_gltf(const std::filesystem::path& path, const Animation& animation,

@@ -12,6 +12,7 @@
 #include "core/scratch.h"
 #include "freetalk/animation/animation.h"
 #include "freetalk/core/error.h"
+#include "gltf_parts.h"
 #include "head_track.h"
 #include "mesh/gltf_scene.h"
 #include "sound.h"
@@ -170,7 +171,7 @@ void add_part(const GltfDocument& document, const GltfPart& part, const at::Tens
 
 audio::Audio read_sound(const GltfDocument& document) {
   const json extensions = document.root().value("extensions", json::object());
-  const auto found = extensions.find("KHR_audio_emitter");
+  const auto found = extensions.find(kAudioExtension);
   if (found == extensions.end()) return {};
   const json& sounds = document.list(*found, "audio");
   if (sounds.empty()) return {};

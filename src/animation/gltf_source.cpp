@@ -61,9 +61,12 @@ std::optional<Source> open_source(const mesh::Mesh& mesh) {
 /// the head moves, a node that carries the character.
 class MotionInto {
  public:
-  MotionInto(Json& root, GltfBuffer& buffer, const Animation& animation, const BlendShapes& shapes,
+  MotionInto(const GltfDocument& document, const FormerMotion& former, Json& root,
+             GltfBuffer& buffer, const Animation& animation, const BlendShapes& shapes,
              bool with_normals)
-      : root_(root),
+      : document_(document),
+        former_(former),
+        root_(root),
         buffer_(buffer),
         animation_(animation),
         shapes_(shapes),
@@ -72,7 +75,7 @@ class MotionInto {
         tracks_(buffer, animation) {}
 
   void add(const std::vector<GltfPart>& parts) {
-    if (!shapes_.names.empty()) add_shapes(parts);
+    add_shapes(parts);
     if (animation_.head.defined()) add_head(parts);
     if (tracks_.empty()) return;
     Json& all = root_["animations"];
@@ -82,15 +85,74 @@ class MotionInto {
 
  private:
   void add_shapes(const std::vector<GltfPart>& parts) {
-    const auto moved = shapes_.targets.abs().amax(std::vector<int64_t>{0, 2}) > 0;  // (V,)
+    const auto nodes = moving_nodes(parts);
+    std::set<int64_t> grown;
+    for (const auto& [node, own] : nodes) grown.insert(own.front().mesh);
+    fit_other_animations(grown);  // before the targets: a later save finds those at the end
+    for (const auto& [node, own] : nodes) add_node(node, own);
+  }
+
+  /// Parts by the nodes of which a vertex moves.
+  std::map<int64_t, std::vector<GltfPart>> moving_nodes(const std::vector<GltfPart>& parts) const {
     std::map<int64_t, std::vector<GltfPart>> nodes;
+    if (shapes_.names.empty()) return nodes;
+    const auto moved = shapes_.targets.abs().amax(std::vector<int64_t>{0, 2}) > 0;  // (V,)
     for (const GltfPart& part : parts) nodes[part.node].push_back(part);
-    for (const auto& [node, own] : nodes) {
-      const auto moving = [&](const GltfPart& part) {
+    std::erase_if(nodes, [&](const auto& entry) {
+      return std::none_of(entry.second.begin(), entry.second.end(), [&](const GltfPart& part) {
         return part.node >= 0 && moved.slice(0, part.first_vertex, end_of(part)).any().item<bool>();
-      };
-      if (std::any_of(own.begin(), own.end(), moving)) add_node(node, own);
+      });
+    });
+    return nodes;
+  }
+
+  /// Animations that were there say a weight for every target, of ours too. @param grown meshes
+  /// that get targets.
+  void fit_other_animations(const std::set<int64_t>& grown) {
+    if (!root_.contains("animations")) return;
+    for (Json& animation : root_["animations"]) {
+      for (Json& channel : animation["channels"]) {
+        const Json& target = channel["target"];
+        if (target.value("path", "") != "weights" || !target.contains("node")) continue;
+        const auto mesh =
+            root_["nodes"].at(target["node"].get<size_t>()).value("mesh", int64_t{-1});
+        const auto found = former_.targets.find(mesh);
+        const auto gone = found == former_.targets.end() ? std::vector<bool>{} : found->second;
+        const auto fresh = grown.count(mesh) > 0 ? static_cast<int64_t>(shapes_.names.size()) : 0;
+        if (mesh < 0 || (gone.empty() && fresh == 0)) continue;
+        Json& samplers = animation["samplers"];
+        Json sampler = samplers.at(channel["sampler"].get<size_t>());
+        sampler["output"] = fitted(sampler["output"].get<int64_t>(), mesh, gone, fresh);
+        const auto shares = [&](const Json& other) {
+          return other["sampler"] == channel["sampler"];
+        };
+        const auto& channels = animation["channels"];
+        if (std::count_if(channels.begin(), channels.end(), shares) > 1) {
+          channel["sampler"] = samplers.size();
+          samplers.push_back(std::move(sampler));
+        } else {
+          samplers[channel["sampler"].get<size_t>()] = std::move(sampler);
+        }
+      }
     }
+  }
+
+  /// Weights without those of targets that are gone, and zeros for fresh ones. @return accessor.
+  int fitted(int64_t accessor, int64_t mesh, std::vector<bool> gone, int64_t fresh) {
+    const auto& primitives = document_.list("meshes").at(mesh).at("primitives");
+    gone.resize(document_.list(primitives.at(0), "targets").size());
+    std::vector<int64_t> kept;
+    for (size_t k = 0; k < gone.size(); ++k) {
+      if (!gone[k]) kept.push_back(static_cast<int64_t>(k));
+    }
+    const auto all = at::tensor(document_.accessor_numbers(accessor, 1)).to(at::kFloat);
+    const auto columns = static_cast<int64_t>(gone.size());
+    if (columns == 0 || all.size(0) % columns != 0) {
+      document_.fail("has an animation that is damaged; export it again");
+    }
+    const auto before = all.view({-1, columns}).index_select(1, at::tensor(kept));
+    const auto zeros = at::zeros({before.size(0), fresh});
+    return buffer_.add(at::cat({before, zeros}, 1).reshape({-1, 1}), {"SCALAR"});
   }
 
   /// Whether a node or one below it shows a mesh, or is the joint of a skin.
@@ -124,7 +186,7 @@ class MotionInto {
     }
     outside.push_back(node);
     roots = std::move(outside);
-    root_["nodes"].push_back({{"name", "head"}, {"children", std::move(carried)}});
+    root_["nodes"].push_back(head_json(std::move(carried)));
     tracks_.add_head(node, MeshFrame{});  // the mesh is in the file's own metres and axes
   }
 
@@ -157,7 +219,7 @@ class MotionInto {
       for (const Json& target : found->second) targets.push_back(target);
     }
     name_targets(mesh, own);
-    animate(node, mesh, own);
+    animate(node, add_rest_weights(node, mesh, own), own);
   }
 
   Json targets_of(const GltfPart& part, bool normals) {
@@ -194,32 +256,46 @@ class MotionInto {
   }
 
   void name_targets(Json& mesh, size_t own) const {
-    const size_t count = own + shapes_.names.size();
-    Json& weights = mesh["weights"];
-    if (weights.is_null()) weights = Json::array();
-    while (weights.size() < count) weights.push_back(0.0);
-    Json& names = mesh["extras"]["targetNames"];
+    Json& extras = mesh["extras"];
+    Json& names = extras["targetNames"];
     if (names.is_null()) names = Json::array();
     while (names.size() < own) names.push_back("target_" + std::to_string(names.size()));
     std::set<std::string> taken;
     for (const Json& name : names) taken.insert(name.is_string() ? name.get<std::string>() : "");
+    Json ours = Json::array();
     for (const std::string& name : shapes_.names) {
       names.push_back(taken.count(name) > 0 ? "talk_" + name : name);
+      ours.push_back(names.back());
     }
+    extras[kOurTargets] = std::move(ours);
+  }
+
+  /// @return weights at rest of all targets as the node shows them.
+  const Json& add_rest_weights(int64_t node, Json& mesh, size_t own) {
+    Json& shown = root_["nodes"][node];
+    for (Json* weights :
+         {&mesh["weights"], shown.contains("weights") ? &shown["weights"] : nullptr}) {
+      if (weights == nullptr) continue;
+      if (weights->is_null()) *weights = Json::array();
+      while (weights->size() < own + shapes_.names.size()) weights->push_back(0.0);
+    }
+    return shown.contains("weights") ? shown["weights"] : mesh["weights"];
   }
 
   /// The targets that were there keep the weight they have at rest.
-  void animate(int64_t node, const Json& mesh, size_t own) {
+  void animate(int64_t node, const Json& rest, size_t own) {
     at::Tensor weights = shapes_.weights;
     if (own > 0) {
-      std::vector<float> rest;
-      for (size_t k = 0; k < own; ++k) rest.push_back(mesh["weights"][k].get<float>());
-      const auto before = at::tensor(rest).expand({animation_.num_frames(), -1});
+      std::vector<float> still;
+      for (size_t k = 0; k < own; ++k) still.push_back(rest[k].get<float>());
+      const auto before = at::tensor(still).expand({animation_.num_frames(), -1});
       weights = at::cat({before, weights}, 1);
     }
     tracks_.add(node, "weights", weights.reshape({-1, 1}), "SCALAR");
   }
 
+  const GltfDocument& document_;
+  const FormerMotion& former_;
   Json& root_;
   GltfBuffer& buffer_;
   const Animation& animation_;
@@ -232,11 +308,27 @@ class MotionInto {
   std::map<int64_t, at::Tensor> derivatives_;
 };
 
+/// Where the last view of each buffer ends.
+std::vector<size_t> ends_of_views(const Json& root, size_t buffers) {
+  std::vector<size_t> ends(buffers, 0);
+  for (const Json& view : root.value("bufferViews", Json::array())) {
+    size_t& end = ends.at(view.value("buffer", size_t{0}));
+    end = std::max(end, view.value("byteOffset", size_t{0}) + view.at("byteLength").get<size_t>());
+  }
+  return ends;
+}
+
 /// The file's buffers become the beginning of ours, pictures in other files a part of it.
-GltfBuffer take_buffers(const GltfDocument& document, Json& root) {
+/// @param cut whether what is behind their last views is left out.
+GltfBuffer take_buffers(const GltfDocument& document, Json& root, bool cut) {
   GltfBuffer buffer;
   std::vector<int64_t> begins;
-  for (const std::string& bytes : document.buffers()) begins.push_back(buffer.append(bytes));
+  const auto& all = document.buffers();
+  std::vector<size_t> ends;
+  if (cut) ends = ends_of_views(root, all.size());
+  for (size_t b = 0; b < all.size(); ++b) {
+    begins.push_back(buffer.append(cut ? all[b].substr(0, ends[b]) : all[b]));
+  }
   if (root.contains("bufferViews")) buffer.views = root["bufferViews"];
   if (root.contains("accessors")) buffer.accessors = root["accessors"];
   for (Json& view : buffer.views) {
@@ -266,10 +358,15 @@ bool save_into_source(const std::filesystem::path& path, const Animation& animat
   if (!source) return false;
   Json root = source->document.root();
   if (!root.contains("scenes") || !root.contains("nodes")) return false;  // nothing to animate
-  GltfBuffer buffer = take_buffers(source->document, root);
+  GltfBuffer buffer;
   try {
-    MotionInto(root, buffer, animation, shapes, options.normals).add(source->parts);
+    const FormerMotion former = remove_former_motion(root);
+    buffer = take_buffers(source->document, root, former.found);
+    MotionInto(source->document, former, root, buffer, animation, shapes, options.normals)
+        .add(source->parts);
   } catch (const nlohmann::json::exception&) {
+    source->document.fail("is damaged or cut short; export it again");
+  } catch (const std::out_of_range&) {
     source->document.fail("is damaged or cut short; export it again");
   }
   add_facts(root, animation, Json::parse(animation.metadata_json));

@@ -2,6 +2,7 @@
 
 #include <ATen/ATen.h>
 
+#include "gltf_parts.h"
 #include "head_track.h"
 
 namespace freetalk::animation {
@@ -16,6 +17,13 @@ void GltfTracks::add(int64_t node, const char* path, const at::Tensor& values, c
   const Json target = {{"node", node}, {"path", path}};
   channels_.push_back({{"sampler", samplers_.size()}, {"target", target}});
   samplers_.push_back({{"input", times_}, {"interpolation", "LINEAR"}, {"output", output}});
+}
+
+Json GltfTracks::json() const {
+  return {{"name", "talk"},
+          {"samplers", samplers_},
+          {"channels", channels_},
+          {"extras", {{"generator", kGenerator}}}};
 }
 
 void GltfTracks::add_head(int64_t node, const MeshFrame& frame) {

@@ -22,7 +22,7 @@ class GltfTracks {
   void add_head(int64_t node, const MeshFrame& frame);
 
   bool empty() const { return channels_.empty(); }
-  Json json() const { return {{"name", "talk"}, {"samplers", samplers_}, {"channels", channels_}}; }
+  Json json() const;
 
  private:
   GltfBuffer& buffer_;

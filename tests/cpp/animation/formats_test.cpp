@@ -2,6 +2,7 @@
 #include <ATen/ATen.h>
 #include <gtest/gtest.h>
 #include <Eigen/Geometry>
+#include <nlohmann/json.hpp>
 
 #include <fstream>
 
@@ -93,6 +94,85 @@ TEST(Gltf, MotionGoesIntoTheMeshsOwnFile) {
   EXPECT_LE(distance_mm(load_gltf(folder / "b.glb"), expected), report.morph_error_mm + 1e-4);
   std::filesystem::remove(folder / "character.glb");
   EXPECT_FALSE(second.save(folder / "b.glb").into_source);
+}
+
+/// The mesh of a file with a motion of its own.
+Animation motion_on(const std::filesystem::path& file, int64_t frames, uint64_t seed) {
+  Animation animation;
+  animation.mesh = mesh::load_mesh(file);
+  const auto random = at::detail::createCPUGenerator(seed);
+  animation.displacements = at::randn({frames, animation.mesh.num_vertices(), 3}, random) * 1e-3;
+  animation.displacements.slice(1, 6).copy_(animation.displacements.index_select(
+      1, at::tensor({1, 4})));  // the seam's copies move with their originals
+  animation.head = at::eye(4, at::kDouble).repeat({frames, 1, 1});
+  animation.head.select(2, 3).slice(1, 0, 3).copy_(at::rand({frames, 3}, random));
+  animation.audio = {{0.5f, -0.25f}, 8000};
+  return animation;
+}
+
+nlohmann::json json_of(const std::filesystem::path& glb) {
+  const std::string bytes = core::read_text(glb);
+  return nlohmann::json::parse(bytes.substr(20, bytes.find("BIN") - 24));
+}
+
+TEST(Gltf, ASecondMotionReplacesTheFirst) {
+  const ScratchFolder folder;
+  seam_animation(4).save(folder / "first.glb");
+  const auto second = motion_on(folder / "first.glb", 5, 7);
+  const auto report = second.save(folder / "second.glb");
+  EXPECT_TRUE(report.into_source);
+  const auto third = motion_on(folder / "second.glb", 3, 8);
+  third.save(folder / "third.glb");
+  EXPECT_LE(distance_mm(load_gltf(folder / "third.glb"), third), report.morph_error_mm + 1e-3);
+  const auto json = json_of(folder / "third.glb");
+  const auto& primitive = json["meshes"][0]["primitives"][0];
+  const auto targets = json["meshes"][0]["extras"]["targetNames"].size();
+  EXPECT_EQ(primitive["targets"].size(), targets);
+  EXPECT_LE(targets, 4);  // no more than three frames and a sign need
+  EXPECT_EQ(json["animations"].size(), 1);
+  EXPECT_EQ(json["nodes"].size(), 2);
+  EXPECT_EQ(json["extensions"]["KHR_audio_emitter"]["audio"].size(), 1);
+  // The first file's motion leaves nothing behind, however often.
+  motion_on(folder / "third.glb", 3, 8).save(folder / "fourth.glb");
+  EXPECT_EQ(core::read_text(folder / "third.glb"), core::read_text(folder / "fourth.glb"));
+  Animation still = motion_on(folder / "third.glb", 2, 9);
+  still.displacements.zero_();
+  still.head = at::Tensor();
+  still.audio = {};
+  still.save(folder / "still.glb");
+  EXPECT_FALSE(json_of(folder / "still.glb").contains("animations"));
+  EXPECT_FALSE(json_of(folder / "still.glb").contains("extensions"));
+}
+
+TEST(Gltf, TargetsAndAnimationsOfOthersStayWithWeightsForEveryTarget) {
+  const ScratchFolder folder;
+  seam_animation(4).save(folder / "ours.glb");
+  std::string bytes = core::read_text(folder / "ours.glb");
+  for (size_t at = 0; (at = bytes.find("\"freetalk\"", at)) != std::string::npos; ++at) {
+    bytes.replace(at, 10, "\"somebody\"");
+  }
+  core::write_file_atomic(folder / "theirs.glb", bytes);
+  const size_t own = json_of(folder / "theirs.glb")["meshes"][0]["weights"].size();
+  motion_on(folder / "theirs.glb", 5, 7).save(folder / "first.glb");
+  const auto second = motion_on(folder / "first.glb", 3, 8);
+  const auto report = second.save(folder / "second.glb");
+  EXPECT_LE(distance_mm(load_gltf(folder / "second.glb"), second), report.morph_error_mm + 1e-3);
+  const auto json = json_of(folder / "second.glb");
+  const size_t targets = json["meshes"][0]["primitives"][0]["targets"].size();
+  EXPECT_EQ(targets, own + static_cast<size_t>(report.num_morph_targets));
+  EXPECT_EQ(json["meshes"][0]["extras"]["targetNames"].size(), targets);
+  ASSERT_EQ(json["animations"].size(), 2);  // ours, theirs
+  EXPECT_EQ(json["extensions"]["KHR_audio_emitter"]["audio"].size(), 2);
+  for (const auto& animation : json["animations"]) {
+    for (const auto& channel : animation["channels"]) {
+      const auto& sampler = animation["samplers"][channel["sampler"].get<size_t>()];
+      const auto count = [&](const char* key) {
+        return json["accessors"][sampler[key].get<size_t>()]["count"].get<size_t>();
+      };
+      if (channel["target"]["path"] != "weights") continue;
+      EXPECT_EQ(count("output"), count("input") * targets);
+    }
+  }
 }
 
 TEST(Gltf, AMovingHeadComesBack) {
