@@ -6,6 +6,7 @@ import io
 import json
 import shutil
 import struct
+import tempfile
 import threading
 import time
 import wave
@@ -166,6 +167,41 @@ def test_takes_are_downloaded(client: TestClient, take: str, name: str, starts: 
     assert file.headers["content-disposition"].startswith("attachment")
     if name == "obj":
         assert len(zipfile.ZipFile(io.BytesIO(file.content)).namelist()) == 12
+
+
+def test_an_uploaded_character_keeps_its_skeleton(client: TestClient, take: str) -> None:
+    """What ``animate`` does with a file: the character's own glTF with the motion added."""
+    pygltflib = pytest.importorskip("pygltflib")
+    resting = ft.Animation(small_face(), np.zeros((1, len(small_face().vertices), 3), np.float32))
+    with tempfile.TemporaryDirectory() as folder:
+        resting.save(Path(folder) / "character.glb")
+        file = pygltflib.GLTF2().load(str(Path(folder) / "character.glb"))
+    face = next(n for n, node in enumerate(file.nodes) if node.mesh is not None)
+    file.asset.generator = "another program"
+    file.nodes += [
+        pygltflib.Node(name="hips", children=[len(file.nodes) + 1]),
+        pygltflib.Node(name="neck", translation=[0, 1, 0]),
+    ]
+    file.scenes[0].nodes.append(len(file.nodes) - 2)
+    file.skins.append(pygltflib.Skin(joints=[len(file.nodes) - 2, len(file.nodes) - 1]))
+    file.nodes[face].skin = 0
+    sent = client.post(
+        "meshes", params={"name": "hero.glb"}, content=b"".join(file.save_to_bytes())
+    )
+    assert sent.status_code == 201, sent.text
+    wish = {"mesh": sent.json()["id"], "sound": state(client)["sounds"][0]["id"]}
+    made = finished(client, client.post("takes", params={"client": "me"}, json=wish).json()["id"])
+    assert made["state"] == "done", made["message"]
+    job = client.post(
+        f"takes/{made['result']}/exports", params={"client": "me"}, json={"format": "glb"}
+    )
+    done = finished(client, job.json()["id"])
+    assert done["state"] == "done", done["message"]
+    back = pygltflib.GLTF2().load_from_bytes(client.get(f"exports/{done['id']}").content)
+    assert [node.name for node in back.nodes[: len(file.nodes)]] == [n.name for n in file.nodes]
+    assert back.skins[0].joints == file.skins[0].joints
+    assert back.animations[0].channels and back.meshes[0].primitives[0].targets
+    client.delete(f"takes/{made['result']}")
 
 
 def test_an_unknown_format_is_refused(client: TestClient, take: str) -> None:

@@ -109,7 +109,12 @@ class Studio:
 
     def add_mesh(self, name: str, content: bytes) -> Item:
         """Raises ``Refused``, see :func:`read_mesh`."""
-        return self._keep_mesh(read_mesh(name, content, self.limits), plain_name(name))
+        folder = Path(tempfile.mkdtemp(dir=self._folder))
+        try:
+            return self._keep_mesh(read_mesh(name, content, self.limits, folder), plain_name(name))
+        except Refused:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
 
     def _keep_mesh(self, mesh: Mesh, name: str) -> Item:
         return self.meshes.add(Item(name, mesh, {"vertices": len(mesh.vertices)}))
@@ -210,9 +215,11 @@ class Studio:
         if format_name not in FORMATS:
             raise Refused(f"there is no format '{format_name}': use one of {', '.join(FORMATS)}")
 
+        mesh: Mesh = self.meshes.get(take.facts["mesh"]).content  # knows its file
+
         def work(report: Report) -> str:
             folder = Path(tempfile.mkdtemp(dir=self._folder))
-            animation = Animation.load(self._file_of(take_id))
+            animation = Animation.load(self._file_of(take_id)).on(mesh)
             report(0.2, 1)
             path = write_export(animation, folder, format_name, take.name)
             self._exports.append(path)

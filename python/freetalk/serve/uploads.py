@@ -55,8 +55,14 @@ def plain_name(name: str) -> str:
     return plain[-_LONGEST_NAME:] or "unnamed"
 
 
-def read_mesh(name: str, content: bytes, limits: Limits) -> Mesh:
+def read_mesh(name: str, content: bytes, limits: Limits, folder: Path | None = None) -> Mesh:
     """A mesh from the bytes of its file.
+
+    Args:
+        name: the sender's, for its kind and for people.
+        content: of the file.
+        limits: how large it may be.
+        folder: an empty one to keep the file in: exports look up materials and the rest of a character there.
 
     Raises:
         Refused: another kind, too large, broken, or it names other files.
@@ -67,7 +73,7 @@ def read_mesh(name: str, content: bytes, limits: Limits) -> Mesh:
         raise Refused(f"'{plain_name(name)}' is not a mesh that can be sent: use {known}")
     if suffix == ".glb":
         _check_self_contained(content)
-    mesh = _read(content, suffix, load_mesh, plain_name(name))
+    mesh: Mesh = _read(content, suffix, load_mesh, plain_name(name), folder)
     if len(mesh.vertices) > limits.vertices:
         raise Refused(
             f"the mesh has {len(mesh.vertices):,} vertices: at most {limits.vertices:,} are taken"
@@ -92,16 +98,16 @@ def read_sound(name: str, content: bytes, limits: Limits) -> Audio:
     return audio
 
 
-def _read(content: bytes, suffix: str, load, name: str):  # type: ignore[no-untyped-def]
+def _read(content: bytes, suffix: str, load, name: str, kept: Path | None = None):  # type: ignore[no-untyped-def]
     """What ``load`` makes of a file with this content; messages name the sender's file, not ours."""
-    with tempfile.TemporaryDirectory(prefix="freetalk_") as folder:
-        file = Path(folder) / f"upload{suffix}"
+    with tempfile.TemporaryDirectory(prefix="freetalk_") as passing:
+        file = (kept or Path(passing)) / f"upload{suffix}"
         file.write_bytes(content)
         try:
             return load(file)
         except (ValueError, RuntimeError) as error:
             sentence = " ".join(str(error).split("\n")[0].split())
-            raise Refused(sentence.replace(str(file), name).replace(folder, "")) from None
+            raise Refused(sentence.replace(str(file), name).replace(str(file.parent), "")) from None
 
 
 def _check_self_contained(content: bytes) -> None:
