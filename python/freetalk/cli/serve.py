@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import secrets
 import socket
 import webbrowser
@@ -52,6 +53,7 @@ def run(arguments: argparse.Namespace) -> None:
             )
         if has_display() and not arguments.no_browser:
             webbrowser.open(address)
+        logging.getLogger("uvicorn.error").addFilter(_of_ours)
         config = uvicorn.Config(
             make_app(studio, token),
             log_level="warning",
@@ -62,6 +64,11 @@ def run(arguments: argparse.Namespace) -> None:
         )
         uvicorn.Server(config).run(sockets=[listening])
     print("closed")
+
+
+def _of_ours(record: logging.LogRecord) -> bool:
+    """Not what strangers send that is no HTTP or no text: it is refused, and nothing for this terminal."""
+    return not record.getMessage().startswith(("Invalid HTTP request", "Invalid UTF-8 sequence"))
 
 
 def _listen(host: str, port: int) -> socket.socket:

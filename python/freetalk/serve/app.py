@@ -179,11 +179,11 @@ class _Server:
     async def live(self, socket: WebSocket) -> None:
         """A stream, see :mod:`freetalk.serve.live`."""
         if not self._knows(socket.path_params["token"]):
-            await socket.close(4404)
+            await _close(socket, 4404, "")
             return
         await socket.accept()
         if self._streams >= self._studio.limits.live:
-            await socket.close(1013, "as many streams as there may be are running")
+            await _close(socket, 1013, "as many streams as there may be are running")
             return
         self._streams += 1
         try:
@@ -266,5 +266,5 @@ async def _close(socket: WebSocket, code: int, reason: str) -> None:
     """Closes a socket that the other side may have closed already."""
     try:
         await socket.close(code, reason[:120])
-    except RuntimeError:
+    except (RuntimeError, WebSocketDisconnect):
         return

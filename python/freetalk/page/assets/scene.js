@@ -364,7 +364,8 @@ class Scene {
     const { gl, canvas } = this;
     gl.enable(gl.DEPTH_TEST);
     gl.enable(gl.SCISSOR_TEST);
-    for (const pane of [{ take: null, box: [0, 0, 1, 1] }, ...panes]) {
+    const covered = panes.reduce((sum, { box }) => sum + box[2] * box[3], 0) > 0.999;
+    for (const pane of covered ? panes : [{ take: null, box: [0, 0, 1, 1] }, ...panes]) {
       const [x, y, w, h] = pane.box;
       const box = [Math.round(x * canvas.width), Math.round((1 - y - h) * canvas.height), Math.round(w * canvas.width), Math.round(h * canvas.height)];
       gl.viewport(...box);
