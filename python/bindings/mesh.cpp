@@ -2,9 +2,12 @@
 #include <pybind11/stl/filesystem.h>
 #include <torch/extension.h>
 
+#include "bind_options.h"
 #include "freetalk/core/error.h"
+#include "freetalk/mesh/appearance.h"
 #include "freetalk/mesh/close_holes.h"
 #include "freetalk/mesh/components.h"
+#include "freetalk/mesh/lip_slit.h"
 #include "freetalk/mesh/mesh.h"
 #include "freetalk/mesh/normals.h"
 #include "freetalk/mesh/report.h"
@@ -50,8 +53,39 @@ void bind_mesh_class(py::module_& m) {
       });
   m.def("load_mesh", &mesh::load_mesh, py::arg("path"), NoGil(),
         "Reads an OBJ, PLY, OFF, STL or glTF file.");
-  m.def("save_mesh", &mesh::save_mesh, py::arg("path"), py::arg("mesh"), NoGil(),
-        "Writes an OBJ or PLY file atomically.");
+  py::class_<mesh::Appearance>(m, "Appearance", "How the surface of a mesh file looks.")
+      .def(
+          "carried",
+          [](mesh::Appearance self, const std::vector<int>& polygon_origin,
+             const Eigen::MatrixXd& colours) {
+            if (!self.materials.empty()) {
+              std::vector<int> material;
+              for (const int p : polygon_origin) {
+                material.push_back(p < 0 ? -1 : self.polygon_material.at(static_cast<size_t>(p)));
+              }
+              self.polygon_material = std::move(material);
+            }
+            self.colours = colours;
+            return self;
+          },
+          py::arg("polygon_origin"), py::arg("colours"),
+          "The same on a mesh whose polygons look like those (-1: like none), vertices like that.")
+      .def_readonly("polygon_material", &mesh::Appearance::polygon_material,
+                    "(P,) of each polygon, -1 for none; empty without materials.")
+      .def_property_readonly(
+          "colours",
+          [](const mesh::Appearance& self) -> const Eigen::MatrixXd& { return self.colours; },
+          "(V, 4) of the vertices in [0, 1], sRGB; empty without.");
+  m.def("load_appearance", &mesh::load_appearance, py::arg("mesh"), NoGil(),
+        "Materials, textures and colours of the file that a mesh was read from.");
+  m.def("save_mesh",
+        py::overload_cast<const std::filesystem::path&, const mesh::Mesh&>(&mesh::save_mesh),
+        py::arg("path"), py::arg("mesh"), NoGil(), "Writes an OBJ or PLY file atomically.");
+  m.def("save_mesh",
+        py::overload_cast<const std::filesystem::path&, const mesh::Mesh&, const mesh::Appearance&>(
+            &mesh::save_mesh),
+        py::arg("path"), py::arg("mesh"), py::arg("appearance"), NoGil(),
+        "The same with the look of the surface.");
 }
 
 void bind_mesh_report(py::module_& m) {
@@ -108,6 +142,29 @@ void bind_holes(py::module_& m) {
       "(V + H, 3) vertices, (F', 3) faces and the number of edges that stay open.");
 }
 
+void bind_slit(py::module_& m) {
+  using mesh::LipSlit;
+  freetalk::bindings::bind_options<mesh::SlitOptions>(m, "SlitOptions", "How cut_lips cuts.");
+  py::class_<LipSlit>(m, "LipSlit", "A mesh whose lips were cut apart.")
+      .def_readonly("mesh", &LipSlit::mesh, "The given vertices in their order, then new ones.")
+      .def_readonly("polygon_origin", &LipSlit::polygon_origin,
+                    "(P',) the given polygon whose look each has.")
+      .def_property_readonly(
+          "vertex_origin",
+          [](const LipSlit& slit) {
+            std::vector<std::tuple<int, int, double>> rows;
+            for (const auto& [a, b, share] : slit.added) rows.emplace_back(a, b, share);
+            return rows;
+          },
+          "Of each new vertex (a, b, share): it looks like (1 - share) a + share b, earlier ones.")
+      .def_readonly("edges", &LipSlit::edges, "Of the slit.");
+  m.def("lips_are_joined", &mesh::lips_are_joined, py::arg("vertices"), py::arg("faces"),
+        py::arg("landmarks"), NoGil(), "Whether upper and lower lip are one skin.");
+  m.def("cut_lips", &mesh::cut_lips, py::arg("mesh"), py::arg("landmarks"), py::kw_only(),
+        py::arg("options") = mesh::SlitOptions{}, NoGil(),
+        "Cuts a slit between lips that are one skin and sews a pocket behind it.");
+}
+
 }  // namespace
 
 void bind_mesh(py::module_& m) {
@@ -115,4 +172,5 @@ void bind_mesh(py::module_& m) {
   bind_mesh_report(m);
   bind_normals(m);
   bind_holes(m);
+  bind_slit(m);
 }

@@ -17,14 +17,23 @@ if TYPE_CHECKING:
 
 Mesh = _native.Mesh
 MeshReport = _native.MeshReport
+Appearance = _native.Appearance
+SlitOptions = _native.SlitOptions
+LipSlit = _native.LipSlit
 
 __all__ = [
+    "Appearance",
+    "LipSlit",
     "Mesh",
     "MeshReport",
+    "SlitOptions",
     "boundary_loops",
     "close_holes",
     "connected_components",
+    "cut_lips",
     "face_areas",
+    "lips_are_joined",
+    "load_appearance",
     "load_mesh",
     "mesh_report",
     "save_mesh",
@@ -33,6 +42,7 @@ __all__ = [
 
 boundary_loops = _native.boundary_loops
 mesh_report = _native.mesh_report
+load_appearance = _native.load_appearance
 
 
 def load_mesh(path: str | os.PathLike[str]) -> Mesh:
@@ -60,9 +70,56 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh:
     return _native.load_mesh(Path(path))
 
 
-def save_mesh(path: str | os.PathLike[str], mesh: Mesh) -> None:
-    """Writes an OBJ or PLY file (by extension) atomically, polygons and texture coordinates kept."""
-    _native.save_mesh(Path(path), mesh)
+def save_mesh(
+    path: str | os.PathLike[str], mesh: Mesh, appearance: Appearance | None = None
+) -> None:
+    """Writes an OBJ or PLY file (by extension) atomically, polygons and texture coordinates kept.
+
+    Args:
+        path: the file.
+        mesh: what to write.
+        appearance: its materials, textures (written beside the file) and colours, as :func:`load_appearance` gives
+            them.
+    """
+    if appearance is None:
+        _native.save_mesh(Path(path), mesh)
+    else:
+        _native.save_mesh(Path(path), mesh, appearance)
+
+
+def lips_are_joined(
+    vertices: ArrayLike | torch.Tensor,
+    faces: ArrayLike | torch.Tensor,
+    landmarks: ArrayLike | torch.Tensor,
+) -> bool:
+    """Whether upper and lower lip are one closed skin, as those of a scan.
+
+    Args:
+        vertices: (V, 3) m, canonical frame.
+        faces: (F, 3).
+        landmarks: (68, 3) m.
+    """
+    surface = as_array(vertices, np.float64), as_array(faces, np.int32)
+    return _native.lips_are_joined(*surface, as_array(landmarks, np.float64))
+
+
+def cut_lips(
+    mesh: Mesh, landmarks: ArrayLike | torch.Tensor, *, options: SlitOptions | None = None
+) -> LipSlit:
+    """Cuts a slit along the crease between the lips and sews a pocket behind it.
+
+    Edges around the slit are halved until they are short, which changes no surface.
+
+    Args:
+        mesh: outward polygons, canonical frame, m.
+        landmarks: (68, 3) m.
+        options: see ``SlitOptions``.
+
+    Raises:
+        ValueError: options or landmarks of another form.
+        RuntimeError: the surface at the lips cannot be cut.
+    """
+    return _native.cut_lips(mesh, as_array(landmarks, np.float64), options=options or SlitOptions())
 
 
 def vertex_normals(vertices: ArrayLike | torch.Tensor, faces: ArrayLike | torch.Tensor) -> NDArray:

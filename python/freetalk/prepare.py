@@ -1,4 +1,5 @@
-"""Repairs of a scan before it speaks: duplicates, floating bits, winding, small holes; each optional and reported."""
+"""A scan made ready to speak: duplicates, floating bits, winding, small holes, lips that are one skin; each step
+optional and reported."""
 
 from __future__ import annotations
 
@@ -8,7 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from freetalk.mesh import Mesh, boundary_loops, connected_components
+from freetalk.geometry import Similarity
+from freetalk.mesh import (
+    Appearance,
+    Mesh,
+    SlitOptions,
+    boundary_loops,
+    connected_components,
+    cut_lips,
+    lips_are_joined,
+    load_appearance,
+)
 
 #: A part with less than this share of the polygons floats beside the face by mistake.
 FLOATING = 0.002
@@ -21,14 +32,17 @@ class Prepared:
     """A repaired mesh.
 
     Attributes:
-        mesh: with the vertices that are left in their order, those of closed holes last.
+        mesh: with the vertices that are left in their order and place, then those of closed holes, of the slit and of
+            the inner mouth.
         vertex_map: (V,) the new vertex of each old one, -1 where it is gone.
         steps: one line for each repair that changed something.
+        appearance: materials, textures and colours of the file that the mesh was read from, on the new mesh.
     """
 
     mesh: Mesh
     vertex_map: NDArray[np.int64]
     steps: list[str]
+    appearance: Appearance
 
 
 def prepare_mesh(
@@ -39,7 +53,7 @@ def prepare_mesh(
     winding: bool = True,
     holes: int = 0,
 ) -> Prepared:
-    """Repairs a mesh; texture coordinates are kept.
+    """Repairs a mesh; texture coordinates and the look of the surface are kept.
 
     Args:
         mesh: any polygons.
@@ -55,22 +69,28 @@ def prepare_mesh(
         raise ValueError(
             f"floating must be in [0, 1) and holes 0 or more, found {floating} and {holes}"
         )
+    look = load_appearance(mesh)
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
     polygons: list[Polygon] = [list(p) for p in mesh.polygons or np.asarray(mesh.faces).tolist()]
     corners: list[Polygon] = [list(p) for p in mesh.polygon_texcoords] or [[] for _ in polygons]
+    origin = list(range(len(polygons)))
     place = _places(vertices)
     steps: list[str] = []
     if duplicates:
         kept = _single(polygons)
         steps += _said(len(polygons) - len(kept), "duplicate or collapsed polygons dropped")
-        polygons, corners = [polygons[k] for k in kept], [corners[k] for k in kept]
+        polygons, corners, origin = (
+            [each[k] for k in kept] for each in (polygons, corners, origin)
+        )
     if floating > 0 and polygons:
         part = _parts(polygons, place)
         share = np.bincount(part) / len(part)
         kept = [k for k, number in enumerate(part) if share[number] >= floating]
         gone = int((share[np.unique(part)] < floating).sum())
         steps += _said(gone, f"floating parts dropped ({len(polygons) - len(kept)} polygons)")
-        polygons, corners = [polygons[k] for k in kept], [corners[k] for k in kept]
+        polygons, corners, origin = (
+            [each[k] for k in kept] for each in (polygons, corners, origin)
+        )
     if not polygons:
         raise ValueError(f"{mesh.name}: no polygon is left; allow smaller parts")
     if winding:
@@ -88,6 +108,7 @@ def prepare_mesh(
             fan = [[b, a, center] for a, b in zip(loop, loop[1:] + loop[:1])]
             polygons += fan
             corners += [[] for _ in fan]
+            origin += [-1] * len(fan)
         steps += _said(len(loops), "holes closed")
     used = np.zeros(len(vertices) + len(added), dtype=bool)
     used[np.concatenate([np.asarray(polygon) for polygon in polygons])] = True
@@ -100,7 +121,58 @@ def prepare_mesh(
         polygon_texcoords=corners if len(mesh.texcoords) else [],
         name=mesh.name,
     )
-    return Prepared(repaired, new[: len(vertices)].astype(np.int64), steps)
+    colours = np.asarray(look.colours)
+    if len(colours):
+        colours = np.concatenate([colours, np.ones((len(added), 4))])[used]
+    appearance = look.carried(origin, colours)
+    return Prepared(repaired, new[: len(vertices)].astype(np.int64), steps, appearance)
+
+
+def open_lips(
+    prepared: Prepared, pose: Similarity, landmarks: NDArray[np.float64], **options: float
+) -> Prepared:
+    """Cuts a slit between lips that are one closed skin, and sews an inner mouth to it; others stay as they are.
+
+    Args:
+        prepared: polygons that face outward, as :func:`prepare_mesh` leaves them.
+        pose: from the mesh to the canonical frame, m.
+        landmarks: (68, 3) in the mesh's own unit and axes.
+        options: fields of ``SlitOptions``: edge, corridor, gap, depth (0: no inner mouth), m.
+
+    Raises:
+        ValueError: options or landmarks of another form.
+        RuntimeError: the surface at the lips cannot be cut.
+    """
+    mesh, marks = prepared.mesh, pose.apply(np.asarray(landmarks, dtype=np.float64))
+    home = pose.apply(np.asarray(mesh.vertices))
+    if not lips_are_joined(home, np.asarray(mesh.faces), marks):
+        return prepared
+    polygons = mesh.polygons or np.asarray(mesh.faces).tolist()
+    texture = {"texcoords": mesh.texcoords, "polygon_texcoords": mesh.polygon_texcoords}
+    wanted = SlitOptions(**options)
+    upright = Mesh(home, polygons, name=mesh.name, **texture)
+    slit = cut_lips(upright, marks, options=wanted)
+    vertices = pose.inverse().apply(np.asarray(slit.mesh.vertices))
+    vertices[: len(home)] = mesh.vertices
+    opened = Mesh(
+        vertices,
+        slit.mesh.polygons or np.asarray(slit.mesh.faces).tolist(),
+        texcoords=slit.mesh.texcoords,
+        polygon_texcoords=slit.mesh.polygon_texcoords,
+        name=mesh.name,
+    )
+    colours = list(np.asarray(prepared.appearance.colours))
+    if colours:
+        for a, b, share in slit.vertex_origin:
+            colours.append((1 - share) * colours[a] + share * colours[b])
+    before = prepared.appearance.polygon_material
+    look = prepared.appearance.carried(
+        slit.polygon_origin if before else [], np.asarray(colours).reshape(-1, 4)
+    )
+    step = f"a slit of {slit.edges} edges cut between the lips"
+    if wanted.depth > 0:
+        step += ", an inner mouth sewn behind it"
+    return Prepared(opened, prepared.vertex_map, [*prepared.steps, step], look)
 
 
 def _said(count: int, what: str) -> list[str]:

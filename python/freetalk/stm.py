@@ -15,6 +15,7 @@ FrameDecoder = _native.stm.FrameDecoder
 AdaptiveOptions = _native.stm.AdaptiveOptions
 AdaptiveReport = _native.stm.AdaptiveReport
 FollowOptions = _native.stm.FollowOptions
+LandmarkCarrier = _native.stm.LandmarkCarrier
 LandmarkFollower = _native.stm.LandmarkFollower
 MeshFeatures = _native.stm.MeshFeatures
 landmark_adjacency = _native.stm.landmark_adjacency

@@ -3,10 +3,10 @@
 #include <ATen/ATen.h>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <vector>
 
+#include "freetalk/core/conventions.h"
 #include "uniform.h"
 
 namespace freetalk::talker {
@@ -14,8 +14,6 @@ namespace {
 
 using Positions = at::TensorAccessor<float, 3>;
 
-constexpr std::array<std::array<int, 2>, 4> kLids = {
-    {{37, 41}, {38, 40}, {43, 47}, {44, 46}}};  // upper, lower
 // The median course of 187 tracked blinks that stand alone (GRID, talker s1, 25 fps: freetalk data
 // from-video), fitted with lid() below.
 constexpr double kClosing = 0.15, kOpening = 0.23;  // s
@@ -37,7 +35,7 @@ double lid(double time) {
 
 double opening_of(const at::TensorAccessor<float, 2>& frame, const Eigen::MatrixXd& landmarks) {
   double opening = 0;
-  for (const auto& [upper, lower] : kLids) {
+  for (const auto& [upper, lower] : core::kLids) {
     opening += landmarks(upper, 1) + frame[upper][1] - landmarks(lower, 1) - frame[lower][1];
   }
   return opening;
@@ -55,7 +53,7 @@ double median(const Numbers& numbers) {
 /// Brings the upper lids down to the lower ones by a share of the way.
 void close_lids(at::TensorAccessor<float, 2> frame, const Eigen::MatrixXd& landmarks,
                 double closure) {
-  for (const auto& [upper, lower] : kLids) {
+  for (const auto& [upper, lower] : core::kLids) {
     for (int axis = 0; axis < 3; ++axis) {
       const double gap =
           landmarks(lower, axis) + frame[lower][axis] - landmarks(upper, axis) - frame[upper][axis];

@@ -137,9 +137,10 @@ std::vector<animation::Animation> Face::animate_many(const audio::Audio& audio,
       const auto progress_of = [&](double share) {
         stages.at((before + share) / static_cast<double>(seeds.size()));
       };
+      const at::Tensor landmarks = face.carried(motion.landmarks);
       const auto place = [&](int64_t first, const at::Tensor& skin) {
         const auto part = results[k].narrow(0, first, skin.size(0));
-        part.copy_(face.in_mesh(skin, motion.landmarks.narrow(0, first, skin.size(0))));
+        part.copy_(face.in_mesh(skin, landmarks.narrow(0, first, skin.size(0))));
         core::release_pages(part);
         return static_cast<double>(first + skin.size(0)) / static_cast<double>(frames);
       };
@@ -152,7 +153,7 @@ std::vector<animation::Animation> Face::animate_many(const audio::Audio& audio,
             codes, [&](int64_t first, const at::Tensor& skin) { progress_of(place(first, skin)); });
         decoded = {frames, frames, 0.0, 0.0};
       } else {
-        stm::decode_adaptively(*face.decoder, motion.landmarks.to(face.device), place,
+        stm::decode_adaptively(*face.decoder, landmarks.to(face.device), place,
                                {.tolerance_mm = options.tolerance_mm}, &decoded, progress_of);
       }
       add_decoded(found, decoded);

@@ -79,7 +79,8 @@ animation::BlendShapes Face::blend_shapes(const animation::Animation& animation,
   animation::BlendShapes result;
   result.names.assign(made.names().begin(), made.names().begin() + count);
   result.targets = state_->in_mesh(made.targets().narrow(0, 0, count), state_->models->rig.shapes);
-  result.weights = made.solve(animation.landmarks).narrow(1, 0, count).contiguous();
+  result.weights =
+      made.solve(state_->carried(animation.landmarks)).narrow(1, 0, count).contiguous();
   return result;
 }
 

@@ -9,6 +9,7 @@
 
 #include "freetalk/animation/parts.h"
 #include "freetalk/rig/face_rig.h"
+#include "freetalk/stm/landmark_carrier.h"
 #include "freetalk/stm/landmark_decoder.h"
 #include "freetalk/stm/landmark_follower.h"
 #include "freetalk/talker/face.h"
@@ -31,6 +32,7 @@ struct Face::State {
   at::Tensor to_mesh;  // (3, 3) float32: rows of displacements in metres to the mesh's own unit
   std::unique_ptr<const animation::Parts> parts;
   std::shared_ptr<const stm::LandmarkFollower> follower;  // null: landmarks are not followed
+  std::unique_ptr<const stm::LandmarkCarrier> carrier;    // with the follower
   std::unique_ptr<const stm::LandmarkDecoder> decoder;
   struct LazyRig {
     std::once_flag once;
@@ -52,9 +54,14 @@ struct Face::State {
                                               const at::Tensor& z_id, int64_t resolution,
                                               const FaceOptions& options, const Progress& progress);
 
-  /// Operators, features and decoder of STM.
-  void decode_by_stm(const Eigen::MatrixXd& landmarks, Stages& stages);
+  /// Operators, features and decoder of STM. @param landmarks (68, 3) m, canonical frame.
+  /// @param known whether they are the face's own rather than the mean face's.
+  void decode_by_stm(const Eigen::MatrixXd& landmarks, bool known, Stages& stages);
 
+  /// The motion of the mean face's landmarks (t, 68, 3), m, as this face makes it.
+  at::Tensor carried(const at::Tensor& landmarks) const {
+    return carrier ? carrier->apply(landmarks) : landmarks;
+  }
   /// Displacements of the mesh, its own unit, from those of the skin. @param skin (t, Vf, 3) m.
   /// @param landmarks (t, 68, 3) m, CPU. @returns (t, V, 3) float32.
   at::Tensor in_mesh(const at::Tensor& skin, const at::Tensor& landmarks) const;

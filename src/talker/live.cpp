@@ -99,7 +99,8 @@ struct Live::State {
 
   void add(at::Tensor made, std::vector<LiveFrame>& frames) {
     if (options.blinks) blinks.add(made);
-    const at::Tensor weights = rig != nullptr ? rig->solve(made, &solved) : at::Tensor();
+    const at::Tensor weights =
+        rig != nullptr ? rig->solve(face.state().carried(made), &solved) : at::Tensor();
     for (int64_t t = 0; t < made.size(0); ++t) {
       frames.push_back({num_frames, static_cast<double>(num_frames) / own().fps, made[t],
                         weights.defined() ? weights[t] : weights});
@@ -168,7 +169,7 @@ at::Tensor Live::decode(const LiveFrame& frame) const {
   return core::with_plain_errors("live", [&] {
     const torch::NoGradGuard no_grad;
     const Face::State& face = state_->face.state();
-    const auto landmarks = frame.landmarks.unsqueeze(0);
+    const auto landmarks = face.carried(frame.landmarks.unsqueeze(0));
     const auto skin = frame.weights.defined() ? face.rig({}).vertices(frame.weights.unsqueeze(0))
                                               : face.decoder->decode(landmarks.to(face.device));
     return face.rest + face.in_mesh(skin, landmarks).squeeze(0);

@@ -9,6 +9,7 @@
 #include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
 #include "freetalk/geometry/operators.h"
+#include "freetalk/mesh/lip_slit.h"
 #include "freetalk/stm/frame_decoder.h"
 #include "head_face.h"
 #include "stages.h"
@@ -108,17 +109,25 @@ std::shared_ptr<const Face::State> Face::State::prepare(std::shared_ptr<const Ta
                                                    models->face.landmarks68);
   report.parts = face->parts->summary();
 
+  const bool known = landmarks.size() > 0;
+  const Eigen::MatrixXd marks =
+      known ? Eigen::MatrixXd(pose.apply(landmarks)) : models->face.landmarks68;
+  if (mesh::lips_are_joined(face->parts->face_vertices(), face->parts->face_faces(), marks)) {
+    report.notices.push_back(
+        "the lips are one closed skin, which stretches where a mouth should open: 'freetalk mesh "
+        "prepare' cuts them apart");
+  }
   if (options.engine == "head") {
     stages.begin("features");
     face->decoder = head_of_mesh(*face, report, stages);
   } else {
-    face->decode_by_stm(landmarks, stages);
+    face->decode_by_stm(marks, known, stages);
   }
   stages.end();
   return face;
 }
 
-void Face::State::decode_by_stm(const Eigen::MatrixXd& landmarks, Stages& stages) {
+void Face::State::decode_by_stm(const Eigen::MatrixXd& landmarks, bool known, Stages& stages) {
   stages.begin("operators");
   stm::Stm stm = models->stm;
   const Eigen::MatrixXd& vertices = parts->face_vertices();
@@ -131,16 +140,15 @@ void Face::State::decode_by_stm(const Eigen::MatrixXd& landmarks, Stages& stages
   const auto features = stm->encode(to_tensor(vertices, device), operators);
   const std::string& wanted = options.follow_landmarks;
   if (wanted == "yes" || (wanted == "auto" && stm->options().follows_landmarks)) {
-    const bool known = landmarks.size() > 0;
     stm::FollowOptions follow;
     if (!known) follow.kriging.noise = kUncertain;
-    const stm::LandmarkFollower made(
-        vertices, parts->face_faces(),
-        known ? report.alignment.to_canonical.apply(landmarks) : models->face.landmarks68,
-        models->face.outward68, follow);
+    const stm::LandmarkFollower made(vertices, parts->face_faces(), landmarks,
+                                     models->face.outward68, follow);
     const int64_t followed = made.num_followed();
     if (2 * followed >= core::kNumLandmarks) {
       follower = std::make_shared<const stm::LandmarkFollower>(made.to(device));
+      carrier = std::make_unique<const stm::LandmarkCarrier>(vertices, parts->face_faces(), made,
+                                                             models->face.landmarks68, known);
     } else {
       report.notices.push_back(
           core::join("only ", followed,

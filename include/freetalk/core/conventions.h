@@ -12,6 +12,19 @@ namespace freetalk::core {
 inline constexpr int64_t kNumLandmarks = 68;              // N
 inline constexpr int64_t kMotionDim = 3 * kNumLandmarks;  // D
 
+/// Upper and lower landmarks that face each other at the inner lips, and at the lids.
+inline constexpr std::array<std::array<int, 2>, 3> kInnerLips{{{61, 67}, {62, 66}, {63, 65}}};
+inline constexpr std::array<std::array<int, 2>, 4> kLids{{{37, 41}, {38, 40}, {43, 47}, {44, 46}}};
+
+/// A landmark of a lip, and the pair of kInnerLips whose gap it goes with.
+struct LipLandmark {
+  int landmark, pair;
+};
+inline constexpr std::array<LipLandmark, 8> kUpperLip{
+    {{49, 0}, {50, 0}, {51, 1}, {52, 2}, {53, 2}, {61, 0}, {62, 1}, {63, 2}}};
+inline constexpr std::array<LipLandmark, 8> kLowerLip{
+    {{59, 0}, {58, 0}, {57, 1}, {56, 2}, {55, 2}, {67, 0}, {66, 1}, {65, 2}}};
+
 struct Unit {
   const char* name;
   double metres;

@@ -38,4 +38,10 @@ struct Appearance {
 /// longer has the polygons and vertices of `mesh`.
 Appearance load_appearance(const Mesh& mesh);
 
+/// As save_mesh(path, mesh), with its look: of an OBJ the colours of the vertices and an MTL
+/// library with its textures beside it, of a PLY the colours and the first texture. Names of
+/// textures begin with that of the mesh file.
+/// @throws std::invalid_argument where the appearance is of another number of polygons or vertices.
+void save_mesh(const std::filesystem::path& path, const Mesh& mesh, const Appearance& appearance);
+
 }  // namespace freetalk::mesh

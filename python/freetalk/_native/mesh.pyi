@@ -7,12 +7,18 @@ import pathlib
 import typing
 
 __all__: list[str] = [
+    "Appearance",
+    "LipSlit",
     "Mesh",
     "MeshReport",
+    "SlitOptions",
     "boundary_loops",
     "close_holes",
     "connected_components",
+    "cut_lips",
     "face_areas",
+    "lips_are_joined",
+    "load_appearance",
     "load_mesh",
     "mesh_report",
     "save_mesh",
@@ -85,6 +91,29 @@ class Mesh:
     def vertices(
         self, arg1: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"]
     ) -> None: ...
+
+class Appearance:
+    """
+    How the surface of a mesh file looks.
+    """
+    def carried(
+        self,
+        polygon_origin: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex],
+        colours: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
+    ) -> Appearance:
+        """
+        The same on a mesh whose polygons look like those (-1: like none), vertices like that.
+        """
+    @property
+    def colours(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
+        """
+        (V, 4) of the vertices in [0, 1], sRGB; empty without.
+        """
+    @property
+    def polygon_material(self) -> list[int]:
+        """
+        (P,) of each polygon, -1 for none; empty without materials.
+        """
 
 class MeshReport:
     """
@@ -173,6 +202,56 @@ class MeshReport:
     @property
     def zero_area_triangles(self) -> int: ...
 
+class SlitOptions:
+    """
+    How cut_lips cuts.
+    """
+
+    __hash__: typing.ClassVar[None] = None
+    corridor: typing.Any
+    depth: typing.Any
+    edge: typing.Any
+    gap: typing.Any
+    @staticmethod
+    def from_dict(arg0: dict) -> SlitOptions:
+        """
+        Options from a mapping; an unknown key is a ValueError naming the nearest known one.
+        """
+    def __eq__(self, arg0: SlitOptions) -> bool: ...
+    def __getstate__(self) -> tuple[str]: ...
+    def __init__(self, **kwargs) -> None: ...
+    def __repr__(self) -> str: ...
+    def __setstate__(self, arg0: tuple) -> None: ...
+    def to_dict(self) -> dict:
+        """
+        All fields by name.
+        """
+
+class LipSlit:
+    """
+    A mesh whose lips were cut apart.
+    """
+    @property
+    def edges(self) -> int:
+        """
+        Of the slit.
+        """
+    @property
+    def mesh(self) -> Mesh:
+        """
+        The given vertices in their order, then new ones.
+        """
+    @property
+    def polygon_origin(self) -> list[int]:
+        """
+        (P',) the given polygon whose look each has.
+        """
+    @property
+    def vertex_origin(self) -> list[tuple[int, int, float]]:
+        """
+        Of each new vertex (a, b, share): it looks like (1 - share) a + share b, earlier ones.
+        """
+
 def boundary_loops(
     polygons: collections.abc.Sequence[
         collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex]
@@ -204,12 +283,36 @@ def connected_components(
     (V,) component of each vertex.
     """
 
+def cut_lips(
+    mesh: Mesh,
+    landmarks: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
+    *,
+    options: SlitOptions = ...,
+) -> LipSlit:
+    """
+    Cuts a slit between lips that are one skin and sews a pocket behind it.
+    """
+
 def face_areas(
     vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
     faces: typing.Annotated[numpy.typing.ArrayLike, numpy.int32, "[m, n]"],
 ) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, 1]"]:
     """
     (F,) areas.
+    """
+
+def lips_are_joined(
+    vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
+    faces: typing.Annotated[numpy.typing.ArrayLike, numpy.int32, "[m, n]"],
+    landmarks: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
+) -> bool:
+    """
+    Whether upper and lower lip are one skin.
+    """
+
+def load_appearance(mesh: Mesh) -> Appearance:
+    """
+    Materials, textures and colours of the file that a mesh was read from.
     """
 
 def load_mesh(path: os.PathLike | str | bytes) -> Mesh:
@@ -222,9 +325,16 @@ def mesh_report(mesh: Mesh) -> MeshReport:
     What a mesh is like, defect by defect.
     """
 
+@typing.overload
 def save_mesh(path: os.PathLike | str | bytes, mesh: Mesh) -> None:
     """
     Writes an OBJ or PLY file atomically.
+    """
+
+@typing.overload
+def save_mesh(path: os.PathLike | str | bytes, mesh: Mesh, appearance: Appearance) -> None:
+    """
+    The same with the look of the surface.
     """
 
 def vertex_normals(

@@ -34,6 +34,21 @@ def check(arguments: argparse.Namespace) -> None:
     if report.zero_area_triangles < report.triangles:
         alignment = align(arguments, np.asarray(mesh.vertices), np.asarray(mesh.faces))
         print(f"  pose: {alignment.summary}")
+        if alignment.face_like and _lips_joined(arguments, mesh, alignment):
+            print(
+                "  lips: one closed skin, which stretches where a mouth should open: 'freetalk mesh prepare' cuts "
+                "them apart"
+            )
+
+
+def _lips_joined(arguments: argparse.Namespace, mesh: Any, alignment: Any) -> bool:
+    from freetalk import _native
+    from freetalk.mesh import lips_are_joined
+
+    template = find_weights(arguments.pretrained) / "template.safetensors"
+    marks = _native.core.load_safetensors(str(template))["landmarks68"]
+    home = alignment.to_canonical.apply(np.asarray(mesh.vertices))
+    return lips_are_joined(home, np.asarray(mesh.faces), marks)
 
 
 def prepare(arguments: argparse.Namespace) -> None:
@@ -53,14 +68,39 @@ def prepare(arguments: argparse.Namespace) -> None:
         winding=not arguments.keep_winding,
         holes=arguments.holes,
     )
+    if not arguments.keep_lips:
+        prepared = _open_lips(arguments, prepared)
     for step in prepared.steps or ["nothing to repair"]:
         print(f"  {step}")
-    freetalk.mesh.save_mesh(arguments.out, prepared.mesh)
+    freetalk.mesh.save_mesh(arguments.out, prepared.mesh, prepared.appearance)
     print(f"wrote {arguments.out}: {len(prepared.mesh.vertices)} vertices")
     if arguments.map is not None:
         with replacing(Path(arguments.map)) as temporary, temporary.open("wb") as stream:
             np.save(stream, prepared.vertex_map)
         print(f"wrote {arguments.map}")
+
+
+def _open_lips(arguments: argparse.Namespace, prepared: Any) -> Any:
+    """The mesh with lips apart; says why not where no face is found on it."""
+    from freetalk.faces import find_landmarks
+    from freetalk.prepare import open_lips
+    from freetalk.talker.where import place
+
+    mesh = prepared.mesh
+    if arguments.landmarks is not None:
+        placed = place(mesh, check_readable(arguments.landmarks, "landmarks"))
+        pose, marks = placed.to_canonical, placed.to_canonical.inverse().apply(placed.landmarks)
+    else:
+        vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+        try:
+            found = find_landmarks(vertices, faces, align(arguments, vertices, faces))
+        except ValueError as error:
+            print(f"  the lips were not looked at: {error}")
+            return prepared
+        print(f"  {found.summary}")
+        pose, marks = found.pose, found.positions
+    depth = {"depth": 0.0} if arguments.no_inner_mouth else {}
+    return open_lips(prepared, pose, marks, **depth)
 
 
 def align(arguments: argparse.Namespace, vertices: Any, faces: Any) -> Any:

@@ -39,7 +39,8 @@ def add_prepare(parser: argparse.ArgumentParser) -> None:
     """Adds those of ``freetalk mesh prepare``."""
     parser.description = (
         "Repairs a scan before it speaks and says what was done: duplicate polygons and floating bits go, "
-        "polygons are turned outward, holes of a chosen size are closed. Texture coordinates are kept."
+        "polygons are turned outward, holes of a chosen size are closed, lips that are one closed skin are cut apart "
+        "and an inner mouth is sewn behind them. Texture coordinates, materials and colours are kept."
     )
     parser.add_argument("file", metavar="FILE", help="OBJ, PLY, OFF, STL or glTF")
     parser.add_argument("--out", required=True, metavar="FILE", help="OBJ or PLY to write")
@@ -60,6 +61,17 @@ def add_prepare(parser: argparse.ArgumentParser) -> None:
     )
     for name, what in (("duplicates", "duplicate polygons"), ("winding", "the winding")):
         parser.add_argument(f"--keep-{name}", action="store_true", help=f"leave {what} alone")
+    parser.add_argument(
+        "--keep-lips", action="store_true", help="leave lips alone that are one closed skin"
+    )
+    parser.add_argument(
+        "--no-inner-mouth", action="store_true", help="cut a slit, but sew nothing behind it"
+    )
+    parser.add_argument(
+        "--landmarks",
+        metavar="FILE",
+        help="where the face is, as 'freetalk mesh landmarks' writes it; by default it is looked for",
+    )
 
 
 def add_where(parser: argparse.ArgumentParser) -> None:

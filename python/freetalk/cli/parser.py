@@ -314,7 +314,10 @@ def _add_mesh(commands: Any) -> None:
     add_landmarks(parser)
     _add_pose(parser)
     _add_pretrained(parser)
-    add_prepare(_command(nested, "prepare", "mesh:prepare", "repair a scan before it speaks"))
+    parser = _command(nested, "prepare", "mesh:prepare", "make a scan ready to speak")
+    add_prepare(parser)
+    _add_pose(parser)
+    _add_pretrained(parser)
 
 
 def _add_speech(commands: Any) -> None:

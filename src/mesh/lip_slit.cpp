@@ -1,0 +1,457 @@
+#include "freetalk/mesh/lip_slit.h"
+
+#include <OpenMesh/Core/Mesh/TriMesh_ArrayKernelT.hh>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <map>
+#include <optional>
+#include <queue>
+#include <set>
+#include <utility>
+
+#include "freetalk/core/conventions.h"
+#include "freetalk/core/error.h"
+#include "freetalk/mesh/components.h"
+#include "mesh/mouth_pocket.h"
+
+namespace freetalk::mesh {
+namespace {
+
+namespace om = OpenMesh;
+
+struct Traits : om::DefaultTraits {
+  using Point = om::Vec3d;
+  using Normal = om::Vec3d;
+};
+using Surface = om::TriMesh_ArrayKernelT<Traits>;
+using Vertex = om::VertexHandle;
+
+constexpr double kRegion = 0.05;   // m around the middle of the lips that is taken apart
+constexpr double kValley = 0.003;  // m around a vertex, in which its depth is told
+constexpr double kSteep = 0.15;    // of kValley: a depth from which a valley is a crease
+constexpr double kFlatCost = 1.0;  // of a path, beside its length, where no crease is
+constexpr double kAstray = 0.004;  // m from the landmarks' line at which a path costs twice
+constexpr double kBase = 0.2;      // of a path's length, in a crease at the landmarks
+constexpr int kSmoothings = 20;
+constexpr double kBand = 0.0015;    // m around the smoothed path in which edges are split
+constexpr double kSnap = 0.2;       // of an edge: nearer to the curve, its end serves
+constexpr double kOffCurve = 20.0;  // cost of a path beside the curve
+constexpr size_t kFewest = 5;       // vertices of a slit
+
+/// What a corner of a triangle has in the mesh: its vertex and texture coordinate (-1: none).
+struct Corner {
+  Vertex at;
+  int vertex = 0, texcoord = -1;
+};
+using Corners = std::array<Corner, 3>;
+
+Corner& corner_at(Corners& corners, Vertex at) {
+  return *std::find_if(corners.begin(), corners.end(), [&](const auto& c) { return c.at == at; });
+}
+
+om::Vec3d vec(const Eigen::RowVector3d& row) { return {row[0], row[1], row[2]}; }
+
+/// Surgery on the surface around the lips; the rest of the mesh stays as it is.
+class Surgery {
+ public:
+  Surgery(const Mesh& mesh, const Eigen::MatrixXd& landmarks, const SlitOptions& options)
+      : mesh_(mesh), options_(options) {
+    line_.push_back(vec(landmarks.row(60)));
+    for (const auto& [upper, lower] : core::kInnerLips) {
+      line_.push_back(vec((landmarks.row(upper) + landmarks.row(lower)) / 2));
+    }
+    line_.push_back(vec(landmarks.row(64)));
+    take_apart();
+    refine();
+    find_path();
+    straighten();
+    find_path();
+  }
+
+  LipSlit result() {
+    LipSlit slit;
+    cut(slit);
+    put_together(slit);
+    slit.edges = static_cast<int64_t>(path_.size()) - 1;
+    if (options_.depth > 0) {
+      sew_pocket(upper_, lower_, options_.depth, rim_polygon_, slit);
+    }
+    return slit;
+  }
+
+ private:
+  double distance(const om::Vec3d& point) const {
+    double least = std::numeric_limits<double>::infinity();
+    for (size_t i = 0; i + 1 < line_.size(); ++i) {
+      const om::Vec3d along = line_[i + 1] - line_[i];
+      const double share = ((point - line_[i]) | along) / std::max(along.sqrnorm(), 1e-18);
+      least = std::min(least, (point - line_[i] - along * std::clamp(share, 0.0, 1.0)).norm());
+    }
+    return least;
+  }
+
+  int new_vertex(const VertexOrigin& origin) {
+    added_.push_back(origin);
+    return static_cast<int>(mesh_.num_vertices() + static_cast<int64_t>(added_.size()) - 1);
+  }
+
+  void take_apart() {
+    const Eigen::VectorXi first = coincident_vertices(mesh_.vertices);
+    std::map<int, Vertex> taken;
+    const om::Vec3d middle = line_[2];
+    for (Eigen::Index f = 0; f < mesh_.num_faces(); ++f) {
+      const int polygon = mesh_.face_polygon[static_cast<size_t>(f)];
+      bool near = true;
+      for (int k = 0; k < 3; ++k) {
+        near = near && (vec(mesh_.vertices.row(mesh_.faces(f, k))) - middle).norm() < kRegion;
+      }
+      // Polygons are taken whole or not at all.
+      if (!near) outside_.insert(polygon);
+    }
+    Corners corners;
+    for (Eigen::Index f = 0; f < mesh_.num_faces(); ++f) {
+      const int polygon = mesh_.face_polygon[static_cast<size_t>(f)];
+      if (outside_.contains(polygon)) continue;
+      const std::vector<int> ring = mesh_.polygon(polygon);
+      for (int k = 0; k < 3; ++k) {
+        const int v = mesh_.faces(f, k);
+        const auto [entry, made] = taken.try_emplace(first[v]);
+        if (made) entry->second = surface_.add_vertex(vec(mesh_.vertices.row(v)));
+        corners[static_cast<size_t>(k)] = {entry->second, v, texcoord(polygon, ring, v)};
+      }
+      if (corners[0].at == corners[1].at || corners[1].at == corners[2].at ||
+          corners[2].at == corners[0].at) {
+        continue;
+      }
+      const om::FaceHandle face = surface_.add_face(corners[0].at, corners[1].at, corners[2].at);
+      FREETALK_RUNTIME_CHECK(face.is_valid(), mesh_.name,
+                             ": the surface around the lips is not manifold, so no slit is cut; "
+                             "drop duplicate and floating polygons first");
+      corners_.push_back(corners);
+      polygon_.push_back(polygon);
+    }
+  }
+
+  int texcoord(int polygon, const std::vector<int>& ring, int vertex) const {
+    if (mesh_.polygon_texcoords.empty()) return -1;
+    const auto& own = mesh_.polygon_texcoords[static_cast<size_t>(polygon)];
+    const auto at = std::find(ring.begin(), ring.end(), vertex) - ring.begin();
+    return static_cast<size_t>(at) < own.size() ? own[static_cast<size_t>(at)] : -1;
+  }
+
+  bool to_halve(om::EdgeHandle edge) const {
+    if (surface_.is_boundary(edge) || surface_.calc_edge_length(edge) <= options_.edge)
+      return false;
+    const om::HalfedgeHandle half = surface_.halfedge_handle(edge, 0);
+    const om::Vec3d a = surface_.point(surface_.from_vertex_handle(half));
+    const om::Vec3d b = surface_.point(surface_.to_vertex_handle(half));
+    for (const double share : {0.0, 0.25, 0.5, 0.75, 1.0}) {
+      if (distance(a * (1 - share) + b * share) < options_.corridor) return true;
+    }
+    return false;
+  }
+
+  /// Halves edges, the longest first.
+  void refine() {
+    std::priority_queue<std::pair<double, int>> queue;
+    const auto push = [&](om::EdgeHandle edge) {
+      if (to_halve(edge)) queue.emplace(surface_.calc_edge_length(edge), edge.idx());
+    };
+    for (const om::EdgeHandle edge : surface_.edges()) push(edge);
+    while (!queue.empty()) {
+      const auto [length, index] = queue.top();
+      queue.pop();
+      const om::EdgeHandle edge(index);
+      if (surface_.calc_edge_length(edge) < length * (1 - 1e-9)) continue;  // halved since
+      const Vertex middle = split(edge, 0.5);
+      for (const om::EdgeHandle each : surface_.ve_range(middle)) push(each);
+    }
+  }
+
+  /// @param share where, of the way along the edge's first halfedge.
+  Vertex split(om::EdgeHandle edge, double share) {
+    const om::HalfedgeHandle half = surface_.halfedge_handle(edge, 0);
+    const Vertex a = surface_.from_vertex_handle(half), b = surface_.to_vertex_handle(half);
+    std::map<Vertex, std::pair<Corners, int>> parents;  // by the vertex across the edge
+    for (const om::HalfedgeHandle side : {half, surface_.opposite_halfedge_handle(half)}) {
+      const auto face = static_cast<size_t>(surface_.face_handle(side).idx());
+      parents[surface_.opposite_vh(side)] = {corners_[face], polygon_[face]};
+    }
+    const Vertex middle =
+        surface_.add_vertex(surface_.point(a) * (1 - share) + surface_.point(b) * share);
+    surface_.split(edge, middle);
+    corners_.resize(surface_.n_faces());
+    polygon_.resize(surface_.n_faces());
+    std::map<std::pair<int, int>, int> vertices, textures;
+    for (const om::FaceHandle face : surface_.vf_range(middle)) {
+      const auto index = static_cast<size_t>(face.idx());
+      bool has_a = false;
+      for (const Vertex v : surface_.fv_range(face)) {
+        has_a = has_a || v == a;
+        const auto parent = parents.find(v);
+        if (parent != parents.end()) {
+          std::tie(corners_[index], polygon_[index]) = parent->second;
+        }
+      }
+      const Corner from = corner_at(corners_[index], a), to = corner_at(corners_[index], b);
+      Corner& gone = corner_at(corners_[index], has_a ? b : a);
+      gone.at = middle;
+      const auto [vertex, made] = vertices.try_emplace({from.vertex, to.vertex});
+      if (made) vertex->second = new_vertex({from.vertex, to.vertex, share});
+      gone.vertex = vertex->second;
+      if (from.texcoord < 0 || to.texcoord < 0) {
+        gone.texcoord = -1;
+        continue;
+      }
+      const auto [texture, first] = textures.try_emplace({from.texcoord, to.texcoord});
+      if (first) texture->second = texture_between(from.texcoord, to.texcoord, share);
+      gone.texcoord = texture->second;
+    }
+    for (auto& [across, parent] : parents) split_.insert(parent.second);
+    return middle;
+  }
+
+  Eigen::RowVector2d texture(int row) const {
+    const auto own = static_cast<int>(mesh_.texcoords.rows());
+    return row < own ? Eigen::RowVector2d(mesh_.texcoords.row(row))
+                     : new_texcoords_[static_cast<size_t>(row - own)];
+  }
+
+  int texture_between(int a, int b, double share) {
+    new_texcoords_.push_back((1 - share) * texture(a) + share * texture(b));
+    return static_cast<int>(mesh_.texcoords.rows()) + static_cast<int>(new_texcoords_.size()) - 1;
+  }
+
+  /// How much of a crease a vertex lies in, in [0, 1].
+  double crease(Vertex v) {
+    const om::Vec3d own = surface_.point(v);
+    std::set<Vertex> seen{v};
+    std::vector<Vertex> queue{v};
+    om::Vec3d sum(0, 0, 0), normal(0, 0, 0);
+    for (size_t i = 0; i < queue.size(); ++i) {
+      for (const om::FaceHandle face : surface_.vf_range(queue[i])) {
+        normal += surface_.calc_face_normal(face) * surface_.calc_face_area(face);
+      }
+      for (const Vertex each : surface_.vv_range(queue[i])) {
+        if ((surface_.point(each) - own).norm() < kValley && seen.insert(each).second) {
+          queue.push_back(each);
+          sum += surface_.point(each) - own;
+        }
+      }
+    }
+    if (queue.size() < 2) return 0;
+    const double depth =
+        (sum / static_cast<double>(queue.size() - 1)) | (normal / std::max(normal.norm(), 1e-18));
+    return std::clamp(depth / (kSteep * kValley), 0.0, 1.0);
+  }
+
+  /// Splits edges where a smooth curve along the path crosses them, and notes what lies on it.
+  void straighten() {
+    std::vector<om::Vec3d> curve;
+    for (const Vertex v : path_) curve.push_back(surface_.point(v));
+    for (int pass = 0; pass < kSmoothings; ++pass) {
+      const std::vector<om::Vec3d> before = curve;
+      for (size_t i = 1; i + 1 < curve.size(); ++i) {
+        curve[i] = (before[i - 1] + before[i] * 2 + before[i + 1]) * 0.25;
+      }
+    }
+    std::sort(curve.begin(), curve.end(), [](const auto& a, const auto& b) { return a[0] < b[0]; });
+    const auto above = [&](const om::Vec3d& point) -> std::optional<double> {
+      const auto right = std::lower_bound(curve.begin(), curve.end(), point[0],
+                                          [](const auto& a, double x) { return a[0] < x; });
+      if (right == curve.begin() || right == curve.end()) return std::nullopt;
+      const om::Vec3d &a = *std::prev(right), &b = *right;
+      const double share = (point[0] - a[0]) / std::max(b[0] - a[0], 1e-18);
+      const om::Vec3d away = point - (a * (1 - share) + b * share);
+      return away.norm() < kBand ? std::optional(away[1]) : std::nullopt;
+    };
+    on_curve_ = {path_.front(), path_.back()};
+    std::vector<std::pair<om::EdgeHandle, double>> crossed;
+    for (const om::EdgeHandle edge : surface_.edges()) {
+      if (surface_.is_boundary(edge)) continue;
+      const om::HalfedgeHandle half = surface_.halfedge_handle(edge, 0);
+      const Vertex a = surface_.from_vertex_handle(half), b = surface_.to_vertex_handle(half);
+      const auto at_a = above(surface_.point(a)), at_b = above(surface_.point(b));
+      if (!at_a || !at_b || (*at_a < 0) == (*at_b < 0)) continue;
+      const double share = *at_a / (*at_a - *at_b);
+      if (share < kSnap) on_curve_.insert(a);
+      if (share > 1 - kSnap) on_curve_.insert(b);
+      if (share >= kSnap && share <= 1 - kSnap) crossed.emplace_back(edge, share);
+    }
+    for (const auto& [edge, share] : crossed) on_curve_.insert(split(edge, share));
+    path_.clear();
+  }
+
+  Vertex nearest(const om::Vec3d& point) const {
+    Vertex best = surface_.vertex_handle(0);
+    for (const Vertex v : surface_.vertices()) {
+      if ((surface_.point(v) - point).norm() < (surface_.point(best) - point).norm()) best = v;
+    }
+    return best;
+  }
+
+  /// The cheapest path from corner to corner, along the crease and near the landmarks.
+  void find_path() {
+    FREETALK_RUNTIME_CHECK(surface_.n_vertices() > 0, mesh_.name, ": no surface is at the lips");
+    if (on_curve_.empty()) ends_ = {nearest(line_.front()), nearest(line_.back())};
+    const auto [start, end] = ends_;
+    std::map<Vertex, double> cost, flat;
+    std::map<Vertex, Vertex> before;
+    const auto price = [&](Vertex v) {
+      const auto [entry, made] = flat.try_emplace(v);
+      if (made) {
+        const double astray = distance(surface_.point(v)) / kAstray;
+        entry->second = kBase;
+        if (on_curve_.empty()) {
+          entry->second += kFlatCost * (1 - crease(v)) + astray * astray;
+        } else if (!on_curve_.contains(v)) {
+          entry->second = kOffCurve;
+        }
+      }
+      return entry->second;
+    };
+    using Step = std::pair<double, Vertex>;
+    std::priority_queue<Step, std::vector<Step>, std::greater<>> queue;
+    queue.emplace(cost[start] = 0, start);
+    while (!queue.empty()) {
+      const auto [spent, at] = queue.top();
+      queue.pop();
+      if (at == end) break;
+      if (spent > cost[at]) continue;
+      for (const Vertex next : surface_.vv_range(at)) {
+        if (surface_.is_boundary(next)) continue;
+        const double length = (surface_.point(next) - surface_.point(at)).norm();
+        const double total = spent + length * (price(at) + price(next)) / 2;
+        const auto [entry, made] = cost.try_emplace(next, total);
+        if (!made && entry->second <= total) continue;
+        entry->second = total;
+        before[next] = at;
+        queue.emplace(total, next);
+      }
+    }
+    for (Vertex v = end; v.is_valid(); v = v == start ? Vertex() : before[v]) path_.push_back(v);
+    std::reverse(path_.begin(), path_.end());
+    FREETALK_RUNTIME_CHECK(path_.front() == start && path_.size() >= kFewest, mesh_.name,
+                           ": no path leads from one corner of the mouth to the other over the "
+                           "surface; look at 'freetalk mesh landmarks --picture'");
+  }
+
+  /// Gives the triangles below the path vertices of their own.
+  void cut(LipSlit& slit) {
+    std::map<int, int> copies;
+    const auto rim = [&](Vertex v, om::HalfedgeHandle side, std::vector<RimVertex>& to) {
+      const auto face = static_cast<size_t>(surface_.face_handle(side).idx());
+      const Corner& corner = corner_at(corners_[face], v);
+      to.push_back({corner.vertex, corner.texcoord});
+      return polygon_[face];
+    };
+    for (size_t i = 0; i + 1 < path_.size(); ++i) {
+      const om::HalfedgeHandle along = surface_.find_halfedge(path_[i], path_[i + 1]);
+      rim_polygon_ = rim(path_[i], along, upper_);
+      if (i + 2 == path_.size()) rim(path_[i + 1], along, upper_);
+      if (i == 0) continue;
+      // Clockwise from the path's next vertex to the one before lies what is below.
+      for (auto half = along; surface_.to_vertex_handle(half) != path_[i - 1];) {
+        const om::HalfedgeHandle back = surface_.opposite_halfedge_handle(half);
+        const auto face = static_cast<size_t>(surface_.face_handle(back).idx());
+        Corner& corner = corner_at(corners_[face], path_[i]);
+        const auto [copy, made] = copies.try_emplace(corner.vertex);
+        if (made) copy->second = new_vertex({corner.vertex, corner.vertex, 0.0});
+        corner.vertex = copy->second;
+        below_.insert(copy->second);
+        half = surface_.next_halfedge_handle(back);
+        split_.insert(polygon_[face]);
+      }
+    }
+    for (size_t i = 0; i < path_.size(); ++i) {
+      const size_t from = std::min(i, path_.size() - 2);
+      const auto side = surface_.find_halfedge(path_[from + 1], path_[from]);
+      rim(path_[i], side, lower_);
+    }
+    lower_.front() = upper_.front();
+    lower_.back() = upper_.back();
+    slit.added = added_;
+  }
+
+  void put_together(LipSlit& slit) {
+    Mesh& made = slit.mesh;
+    const auto old = mesh_.num_vertices();
+    Eigen::MatrixXd vertices(old + static_cast<Eigen::Index>(added_.size()), 3);
+    vertices.topRows(old) = mesh_.vertices;
+    for (size_t i = 0; i < added_.size(); ++i) {
+      const auto& [a, b, share] = added_[i];
+      const auto row = old + static_cast<Eigen::Index>(i);
+      vertices.row(row) = (1 - share) * vertices.row(a) + share * vertices.row(b);
+    }
+    for (const int v : below_) vertices(v, 1) -= options_.gap;
+    made.vertices = std::move(vertices);
+    const auto own = mesh_.texcoords.rows();
+    made.texcoords = mesh_.texcoords;
+    made.texcoords.conservativeResize(own + static_cast<Eigen::Index>(new_texcoords_.size()), 2);
+    for (size_t i = 0; i < new_texcoords_.size(); ++i) {
+      made.texcoords.row(own + static_cast<Eigen::Index>(i)) = new_texcoords_[i];
+    }
+    made.name = mesh_.name;
+    for (int p = 0; p < mesh_.num_polygons(); ++p) {
+      if (split_.contains(p)) continue;
+      made.polygons.push_back(mesh_.polygon(p));
+      if (own > 0)
+        made.polygon_texcoords.push_back(mesh_.polygon_texcoords[static_cast<size_t>(p)]);
+      slit.polygon_origin.push_back(p);
+    }
+    for (const om::FaceHandle face : surface_.faces()) {
+      const auto index = static_cast<size_t>(face.idx());
+      if (!split_.contains(polygon_[index])) continue;
+      std::vector<int> polygon, texture;
+      for (const Vertex v : surface_.fv_range(face)) {
+        const Corner& corner = corner_at(corners_[index], v);
+        polygon.push_back(corner.vertex);
+        if (corner.texcoord >= 0) texture.push_back(corner.texcoord);
+      }
+      if (texture.size() < 3) texture.clear();
+      made.polygons.push_back(polygon);
+      if (own > 0) made.polygon_texcoords.push_back(texture);
+      slit.polygon_origin.push_back(polygon_[index]);
+    }
+  }
+
+  const Mesh& mesh_;
+  const SlitOptions& options_;
+  std::vector<om::Vec3d> line_;  // from corner to corner of the inner lips
+  Surface surface_;
+  std::vector<Corners> corners_;  // of each face of surface_
+  std::vector<int> polygon_;
+  std::set<int> outside_, split_, below_;
+  std::vector<VertexOrigin> added_;
+  std::vector<Eigen::RowVector2d> new_texcoords_;
+  std::vector<Vertex> path_;
+  std::pair<Vertex, Vertex> ends_;
+  std::set<Vertex> on_curve_;
+  std::vector<RimVertex> upper_, lower_;
+  int rim_polygon_ = 0;
+};
+
+}  // namespace
+
+void SlitOptions::check() const {
+  FREETALK_CHECK(edge > 0 && corridor > 0 && gap >= 0 && depth >= 0,
+                 "slit: edge and corridor must be positive, gap and depth not negative; found ",
+                 edge, ", ", corridor, ", ", gap, " and ", depth);
+}
+
+LipSlit cut_lips(const Mesh& mesh, const Eigen::MatrixXd& landmarks, const SlitOptions& options) {
+  options.check();
+  FREETALK_CHECK(landmarks.rows() == core::kNumLandmarks && landmarks.cols() == 3,
+                 "expected landmarks (68, 3), found (", landmarks.rows(), ", ", landmarks.cols(),
+                 ")");
+  LipSlit slit = Surgery(mesh, landmarks, options).result();
+  Mesh whole = make_mesh(slit.mesh.vertices, slit.mesh.polygons, slit.mesh.texcoords,
+                         slit.mesh.polygon_texcoords, mesh.name);
+  slit.mesh = std::move(whole);
+  return slit;
+}
+
+}  // namespace freetalk::mesh

@@ -1,0 +1,212 @@
+#include "freetalk/stm/landmark_carrier.h"
+
+#include <ATen/ATen.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <optional>
+#include <vector>
+
+#include "freetalk/core/error.h"
+
+namespace freetalk::stm {
+namespace {
+
+using core::kInnerLips;
+using core::kLids;
+using core::kNumLandmarks;
+using Frame = at::TensorAccessor<float, 2>;
+
+constexpr double kReach = 0.005;        // m around a landmark, in which its side is looked for
+constexpr double kFilled = 0.002;       // m: joined sides farther apart have skin between them
+constexpr double kStep = 1e-4;          // m between samples of a side
+constexpr double kClosed = 4e-4;        // c, m
+constexpr double kPress = 1.5e-4;       // p, m
+constexpr double kRelease = 3.0;        // r, of what is closed; above 1.5 the order of gaps is kept
+constexpr double kLeastRelease = 3e-3;  // r, m, at least
+constexpr double kWidest = 0.008;       // m: lips that are farther apart at rest close by this
+constexpr double kUpperMost = 7.5e-4;   // m
+constexpr double kChinShare = 0.6;      // of what the lower lip closes beyond that
+constexpr double kShut = 0.08, kAjar = 0.3;  // e and where leading starts, of the eye's opening
+// What is left of a closed lid's way by a surface that follows its landmarks closely, not exactly.
+constexpr double kLidPress = 4e-4, kLidShare = 0.1;   // p of lids, m; at most that share of s
+constexpr double kNarrowest = 0.75, kBroadest = 1.3;  // of the mean mouth's width
+constexpr int kChin = 6, kChinEnd = 11, kMouth = 48;
+
+double smoothstep(double u) {
+  u = std::clamp(u, 0.0, 1.0);
+  return u * u * (3 - 2 * u);
+}
+
+/// Two sides of a gap, cut by the plane through a pair of landmarks.
+class Cut {
+ public:
+  /// @param upper (V,) whether a vertex belongs to the upper side.
+  Cut(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces, const std::vector<bool>& upper,
+      const Eigen::RowVector3d& top, const Eigen::RowVector3d& bottom)
+      : centre_{top, bottom}, x_((top[0] + bottom[0]) / 2) {
+    for (Eigen::Index f = 0; f < faces.rows(); ++f) {
+      const auto corner = [&](int k) { return vertices.row(faces(f, k)); };
+      int uppers = 0, left = 0;
+      for (int k = 0; k < 3; ++k) {
+        uppers += upper[static_cast<size_t>(faces(f, k))];
+        left += corner(k)[0] < x_;
+      }
+      if (left == 0 || left == 3) continue;
+      std::array<Eigen::RowVector3d, 2> ends;
+      size_t found = 0;
+      for (int k = 0; k < 3; ++k) {
+        const Eigen::RowVector3d a = corner(k), b = corner((k + 1) % 3);
+        if ((a[0] < x_) != (b[0] < x_)) ends[found++] = a + (x_ - a[0]) / (b[0] - a[0]) * (b - a);
+      }
+      sample(ends[0], ends[1], uppers);
+    }
+  }
+
+  /// m; nothing where a side is missing. Where skin joins the sides they are as far apart as the
+  /// landmarks, or closed.
+  std::optional<double> clearance() const {
+    if (joined_) {
+      const double apart = (centre_[0] - centre_[1]).norm();
+      return apart > kFilled ? apart : 0.0;
+    }
+    if (sides_[0].empty() || sides_[1].empty()) return std::nullopt;
+    double least = std::numeric_limits<double>::infinity();
+    for (const auto& a : sides_[0]) {
+      for (const auto& b : sides_[1]) least = std::min(least, (a - b).squaredNorm());
+    }
+    return std::sqrt(least);
+  }
+
+ private:
+  /// Keeps what of a segment is near the landmark of its side. @param uppers of its three corners.
+  void sample(const Eigen::RowVector3d& from, const Eigen::RowVector3d& to, int uppers) {
+    const auto steps = static_cast<int>((to - from).norm() / kStep) + 1;
+    for (int i = 0; i <= steps; ++i) {
+      const Eigen::RowVector3d at = from + (to - from) * i / steps;
+      const auto near = [&](size_t side) { return (at - centre_[side]).norm() < kReach; };
+      if (uppers == 3 && near(0)) sides_[0].push_back(at);
+      if (uppers == 0 && near(1)) sides_[1].push_back(at);
+      if (uppers % 3 != 0 && (near(0) || near(1))) joined_ = true;
+    }
+  }
+
+  std::array<Eigen::RowVector3d, 2> centre_;
+  double x_;
+  std::array<std::vector<Eigen::RowVector3d>, 2> sides_;
+  bool joined_ = false;
+};
+
+template <class Pairs>
+std::vector<bool> upper_side(const at::Tensor& weights, const Pairs& pairs) {
+  const auto of = weights.accessor<float, 2>();
+  std::vector<bool> upper(static_cast<size_t>(of.size(0)));
+  for (int64_t v = 0; v < of.size(0); ++v) {
+    float best[2] = {0, 0};
+    for (const auto& pair : pairs) {
+      for (size_t side = 0; side < 2; ++side) {
+        best[side] = std::max(best[side], of[v][pair[side]]);
+      }
+    }
+    upper[static_cast<size_t>(v)] = best[0] > best[1];
+  }
+  return upper;
+}
+
+/// Opening of a pair in a frame.
+template <class Pair>
+double opening(const Frame& frame, const Pair& pair) {
+  return frame[pair[0]][1] - frame[pair[1]][1];
+}
+
+/// See the header.
+double carried_lips(double o, double s) {
+  const double closed = s + kClosed;
+  const double release = std::max(kRelease * closed, kLeastRelease);
+  return std::max(o - closed * (1 - smoothstep((o - kClosed) / release)), -s - kPress);
+}
+
+double carried_lids(double share, double s) {
+  if (share >= kAjar) return s * (share - 1);
+  const double closing = 1 - smoothstep((share - kShut) / (kAjar - kShut));
+  return s * (share * (1 - closing) - 1) - std::min(kLidPress, kLidShare * s) * closing;
+}
+
+}  // namespace
+
+LandmarkCarrier::LandmarkCarrier(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
+                                 const LandmarkFollower& follower, const Eigen::MatrixXd& mean,
+                                 bool known) {
+  FREETALK_CHECK(mean.rows() == kNumLandmarks && mean.cols() == 3,
+                 "STM: expected the mean face's landmarks (68, 3), found (", mean.rows(), ", ",
+                 mean.cols(), ")");
+  const at::Tensor weights = follower.weights().to(at::kCPU);
+  FREETALK_CHECK(weights.size(0) == vertices.rows(), "STM: the follower is of ", weights.size(0),
+                 " vertices, the surface of ", vertices.rows());
+  const at::Tensor corners = follower.corners().to(at::kCPU);
+  const at::Tensor shares = follower.shares().to(at::kCPU);
+  const auto corner = corners.accessor<int64_t, 2>();
+  const auto share = shares.accessor<float, 2>();
+  const auto place = [&](int n) {
+    Eigen::RowVector3d sum = Eigen::RowVector3d::Zero();
+    for (int k = 0; k < 3; ++k) sum += share[n][k] * vertices.row(corner[n][k]);
+    return sum;
+  };
+  const auto clearance = [&](const std::vector<bool>& upper, const auto& pair) {
+    return Cut(vertices, faces, upper, place(pair[0]), place(pair[1])).clearance();
+  };
+  const auto lips = upper_side(weights, kInnerLips), lids = upper_side(weights, kLids);
+  for (size_t i = 0; i < kInnerLips.size(); ++i) {
+    lips_[i] = std::min(clearance(lips, kInnerLips[i]).value_or(0.0), kWidest);
+  }
+  for (size_t i = 0; i < kLids.size(); ++i) {
+    mean_lids_[i] = mean(kLids[i][0], 1) - mean(kLids[i][1], 1);
+    const auto found = clearance(lids, kLids[i]);
+    // Guessed landmarks that are joined may lie on one lid.
+    lids_[i] = found && (known || *found > 0) ? *found : mean_lids_[i];
+  }
+  if (known) {
+    width_ = (place(54)[0] - place(48)[0]) / (mean(54, 0) - mean(48, 0));
+    width_ = std::clamp(width_, kNarrowest, kBroadest);
+  }
+}
+
+at::Tensor LandmarkCarrier::apply(const at::Tensor& landmarks) const {
+  FREETALK_CHECK(
+      landmarks.dim() == 3 && landmarks.size(1) == kNumLandmarks && landmarks.size(2) == 3,
+      "STM: expected landmarks (T, 68, 3), found ", landmarks.sizes());
+  at::Tensor result = landmarks
+                          .to(at::TensorOptions(at::kCPU).dtype(at::kFloat),
+                              /*non_blocking=*/false, /*copy=*/true)
+                          .contiguous();
+  auto frames = result.accessor<float, 3>();
+  for (int64_t t = 0; t < frames.size(0); ++t) {
+    Frame frame = frames[t];
+    for (int n = kMouth; n < kNumLandmarks; ++n) frame[n][0] *= static_cast<float>(width_);
+    for (size_t i = 0; i < kLids.size(); ++i) {
+      const double scale = lids_[i] / mean_lids_[i];
+      const double open = std::max(0.0, 1 + opening(frame, kLids[i]) / mean_lids_[i]);
+      for (const int n : kLids[i]) {
+        for (int axis = 0; axis < 3; ++axis) frame[n][axis] *= static_cast<float>(scale);
+      }
+      const double missing = carried_lids(open, lids_[i]) - opening(frame, kLids[i]);
+      frame[kLids[i][0]][1] += static_cast<float>(missing);
+    }
+    std::array<double, kInnerLips.size()> upper{}, lower{};
+    double chin = 0;
+    for (size_t i = 0; i < kInnerLips.size(); ++i) {
+      const double own = opening(frame, kInnerLips[i]);
+      const double change = carried_lips(own, lips_[i]) - own;
+      upper[i] = std::max(change / 2, -kUpperMost);
+      lower[i] = upper[i] - change;
+      chin += kChinShare * std::max(0.0, lower[i] - kUpperMost) / kInnerLips.size();
+    }
+    for (const auto& [n, pair] : core::kUpperLip) frame[n][1] += static_cast<float>(upper[pair]);
+    for (const auto& [n, pair] : core::kLowerLip) frame[n][1] += static_cast<float>(lower[pair]);
+    for (int n = kChin; n < kChinEnd; ++n) frame[n][1] += static_cast<float>(chin);
+  }
+  return result;
+}
+
+}  // namespace freetalk::stm

@@ -1,0 +1,109 @@
+"""Lips and lids that touch in the mean face's motion touch on other faces, and do not pass through."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from freetalk.corpus.assets import EXTENTS, crop_quads, load_face_model, triangulate
+from freetalk.stm import LandmarkCarrier, LandmarkFollower
+
+LIPS, LIDS = ((61, 67), (62, 66), (63, 65)), ((37, 41), (38, 40), (43, 47), (44, 46))
+
+
+def mean_landmarks() -> np.ndarray:
+    model = load_face_model()
+    return model.neutral[model.landmarks68].astype(np.float64)
+
+
+def carrier_of(weights: np.ndarray, known: bool = True) -> tuple[LandmarkCarrier, np.ndarray]:
+    """Of an identity of the built-in face with sockets, and its landmarks (68, 3)."""
+    model, count = load_face_model(), EXTENTS["sockets"]
+    vertices = model.neutral[:count].astype(np.float64)
+    vertices += np.tensordot(weights, model.identity_basis[:, :count].astype(np.float64), axes=1)
+    faces = triangulate(crop_quads(model, "sockets"))
+    marks = vertices[model.landmarks68]
+    follower = LandmarkFollower(vertices, faces, landmarks=marks, normals=np.zeros((68, 3)))
+    mean = mean_landmarks()
+    return LandmarkCarrier(vertices, faces, follower=follower, mean=mean, known=known), marks
+
+
+def eyes(deviations: float) -> np.ndarray:
+    """Weights of an identity with larger or smaller eyes."""
+    model = load_face_model()
+    height = model.identity_basis[:, model.landmarks68, 1].astype(np.float64)
+    opening = sum(height[:, a] - height[:, b] for a, b in LIDS)
+    return deviations * np.asarray(opening) / np.linalg.norm(opening)
+
+
+def lips_open(opening_m: float) -> torch.Tensor:
+    """(1, 68, 3) a lower lip that goes down."""
+    motion = torch.zeros(1, 68, 3)
+    motion[0, [55, 56, 57, 58, 59, 65, 66, 67], 1] = -opening_m
+    return motion
+
+
+def gaps(motion: torch.Tensor, pairs: tuple[tuple[int, int], ...]) -> np.ndarray:
+    """(T, pairs) m, what the motion adds to the openings of pairs."""
+    height = motion[..., 1].numpy().astype(np.float64)
+    return np.stack([height[:, a] - height[:, b] for a, b in pairs], axis=1)
+
+
+def test_lips_close_by_their_clearance_and_no_further() -> None:
+    carrier, _ = carrier_of(1.2 * np.random.default_rng(0).standard_normal(100))
+    clearance = np.asarray(carrier.lip_clearance)
+    assert (clearance > 2e-4).all()
+    for opening in (0.0002, 0.0, -0.002):
+        made = gaps(carrier.apply(lips_open(opening)), LIPS)[0]
+        np.testing.assert_array_less(made, -clearance + 1e-6)
+        np.testing.assert_array_less(-clearance - 1.6e-4, made)
+
+
+def test_wide_openings_stay_and_the_order_of_openings_is_kept() -> None:
+    carrier, _ = carrier_of(np.zeros(100))
+    np.testing.assert_allclose(gaps(carrier.apply(lips_open(0.012)), LIPS), 0.012, atol=1e-6)
+    wanted = torch.cat([lips_open(x) for x in np.linspace(-0.002, 0.012, 57)])
+    assert (np.diff(gaps(carrier.apply(wanted), LIPS), axis=0) > -1e-7).all()
+
+
+@pytest.mark.parametrize("deviations", [-3.0, 0.0, 3.0])
+def test_lids_go_as_far_as_the_eye_is_open(deviations: float) -> None:
+    carrier, marks = carrier_of(eyes(deviations))
+    clearance = np.asarray(carrier.lid_clearance)
+    of_landmarks = np.array([marks[a, 1] - marks[b, 1] for a, b in LIDS])
+    np.testing.assert_allclose(clearance, of_landmarks, rtol=0.08)
+    mean = mean_landmarks()
+    blink = torch.zeros(1, 68, 3)
+    for upper, lower in LIDS:
+        blink[0, upper] = torch.from_numpy(0.96 * (mean[lower] - mean[upper]))
+    made = gaps(carrier.apply(blink), LIDS)[0]
+    np.testing.assert_array_less(made, -clearance + 1e-6)
+    np.testing.assert_array_less(-clearance - 5e-4, made)
+    half = gaps(carrier.apply(0.5 * blink), LIDS)[0]
+    np.testing.assert_allclose(half, -0.48 * clearance, rtol=0.01)
+
+
+def test_guessed_landmarks_do_not_scale_the_mouth() -> None:
+    model = load_face_model()
+    lateral = model.identity_basis[:, model.landmarks68, 0].astype(np.float64)
+    wide = lateral[:, 54] - lateral[:, 48]
+    weights = 3 * wide / np.linalg.norm(wide)
+    smile = torch.zeros(1, 68, 3)
+    smile[0, 54, 0], smile[0, 48, 0] = 0.004, -0.004
+    known, guessed = (carrier_of(weights, each)[0].apply(smile)[0, 54, 0] for each in (True, False))
+    assert float(known) == pytest.approx(0.0049, rel=0.05)
+    assert float(guessed) == pytest.approx(0.004, rel=1e-6)
+
+
+def test_frames_are_independent() -> None:
+    carrier, _ = carrier_of(eyes(2.0))
+    motion = 0.004 * torch.randn(9, 68, 3, generator=torch.Generator().manual_seed(0))
+    each = torch.cat([carrier.apply(frame[None]) for frame in motion])
+    assert torch.equal(carrier.apply(motion), each)
+
+
+def test_shapes_are_checked() -> None:
+    carrier, _ = carrier_of(np.zeros(100))
+    with pytest.raises(ValueError, match=r"expected landmarks \(T, 68, 3\)"):
+        carrier.apply(torch.zeros(68, 3))
