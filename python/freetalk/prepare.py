@@ -79,18 +79,16 @@ def prepare_mesh(
     if duplicates:
         kept = _single(polygons)
         steps += _said(len(polygons) - len(kept), "duplicate or collapsed polygons dropped")
-        polygons, corners, origin = (
-            [each[k] for k in kept] for each in (polygons, corners, origin)
-        )
+        polygons, corners = [polygons[k] for k in kept], [corners[k] for k in kept]
+        origin = [origin[k] for k in kept]
     if floating > 0 and polygons:
         part = _parts(polygons, place)
         share = np.bincount(part) / len(part)
         kept = [k for k, number in enumerate(part) if share[number] >= floating]
         gone = int((share[np.unique(part)] < floating).sum())
         steps += _said(gone, f"floating parts dropped ({len(polygons) - len(kept)} polygons)")
-        polygons, corners, origin = (
-            [each[k] for k in kept] for each in (polygons, corners, origin)
-        )
+        polygons, corners = [polygons[k] for k in kept], [corners[k] for k in kept]
+        origin = [origin[k] for k in kept]
     if not polygons:
         raise ValueError(f"{mesh.name}: no polygon is left; allow smaller parts")
     if winding:
@@ -148,9 +146,14 @@ def open_lips(
     if not lips_are_joined(home, np.asarray(mesh.faces), marks):
         return prepared
     polygons = mesh.polygons or np.asarray(mesh.faces).tolist()
-    texture = {"texcoords": mesh.texcoords, "polygon_texcoords": mesh.polygon_texcoords}
     wanted = SlitOptions(**options)
-    upright = Mesh(home, polygons, name=mesh.name, **texture)
+    upright = Mesh(
+        home,
+        polygons,
+        texcoords=mesh.texcoords,
+        polygon_texcoords=mesh.polygon_texcoords,
+        name=mesh.name,
+    )
     slit = cut_lips(upright, marks, options=wanted)
     vertices = pose.inverse().apply(np.asarray(slit.mesh.vertices))
     vertices[: len(home)] = mesh.vertices

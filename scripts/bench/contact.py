@@ -177,8 +177,8 @@ def touch(vertices: Points, sides: tuple[Side, Side]) -> tuple[float, float]:
 def spoken(talker: freetalk.Talker, head: Head, clip: Path) -> tuple[Points, Points]:
     """Closures and blinks (T, 68, 3) of what the talker says, made for the mean face."""
     mesh = freetalk.Mesh(head[0], head[1].tolist(), name="mean")
-    motion = talker.prepare(mesh, landmarks=head[2]).animate(clip, progress=False).landmarks
-    motion = np.asarray(motion, np.float64)
+    spoken_clip = talker.prepare(mesh, landmarks=head[2]).animate(clip, progress=False)
+    motion = np.asarray(spoken_clip.landmarks, np.float64)
     lips = np.flatnonzero(motion[:, 62, 1] - motion[:, 66, 1] <= CLOSED_M)
     marks = head[2]
     eye = marks[37, 1] - marks[41, 1]

@@ -37,7 +37,7 @@ constexpr double kAstray = 0.004;  // m from the landmarks' line at which a path
 constexpr double kBase = 0.2;      // of a path's length, in a crease at the landmarks
 constexpr int kSmoothings = 20;
 constexpr double kBand = 0.0015;    // m around the smoothed path in which edges are split
-constexpr double kSnap = 0.2;       // of an edge: nearer to the curve, its end serves
+constexpr double kSnap = 0.3;       // of an edge: nearer to the curve, its end serves
 constexpr double kOffCurve = 20.0;  // cost of a path beside the curve
 constexpr size_t kFewest = 5;       // vertices of a slit
 

@@ -30,7 +30,7 @@ constexpr double kUpperMost = 7.5e-4;   // m
 constexpr double kChinShare = 0.6;      // of what the lower lip closes beyond that
 constexpr double kShut = 0.08, kAjar = 0.3;  // e and where leading starts, of the eye's opening
 // What is left of a closed lid's way by a surface that follows its landmarks closely, not exactly.
-constexpr double kLidPress = 4e-4, kLidShare = 0.1;   // p of lids, m; at most that share of s
+constexpr double kLidPress = 0.02;                    // of the eye's opening
 constexpr double kNarrowest = 0.75, kBroadest = 1.3;  // of the mean mouth's width
 constexpr int kChin = 6, kChinEnd = 11, kMouth = 48;
 
@@ -127,10 +127,11 @@ double carried_lips(double o, double s) {
   return std::max(o - closed * (1 - smoothstep((o - kClosed) / release)), -s - kPress);
 }
 
-double carried_lids(double share, double s) {
-  if (share >= kAjar) return s * (share - 1);
+double carried_lids(double q) {
+  const double share = std::max(0.0, 1 + q);
+  if (share >= kAjar) return q;
   const double closing = 1 - smoothstep((share - kShut) / (kAjar - kShut));
-  return s * (share * (1 - closing) - 1) - std::min(kLidPress, kLidShare * s) * closing;
+  return share * (1 - closing) - 1 - kLidPress * closing;
 }
 
 }  // namespace
@@ -161,10 +162,14 @@ LandmarkCarrier::LandmarkCarrier(const Eigen::MatrixXd& vertices, const Eigen::M
     lips_[i] = std::min(clearance(lips, kInnerLips[i]).value_or(0.0), kWidest);
   }
   for (size_t i = 0; i < kLids.size(); ++i) {
-    mean_lids_[i] = mean(kLids[i][0], 1) - mean(kLids[i][1], 1);
+    const auto [upper, lower] = kLids[i];
+    mean_gap_[i] = (mean.row(upper) - mean.row(lower)).transpose();
     const auto found = clearance(lids, kLids[i]);
     // Guessed landmarks that are joined may lie on one lid.
-    lids_[i] = found && (known || *found > 0) ? *found : mean_lids_[i];
+    const bool told = found && (known || *found > 0);
+    lids_[i] = told ? *found : mean_gap_[i].norm();
+    own_gap_[i] = (place(upper) - place(lower)).transpose();
+    own_gap_[i] = lids_[i] * (told && known ? own_gap_[i] : mean_gap_[i]).normalized();
   }
   if (known) {
     width_ = (place(54)[0] - place(48)[0]) / (mean(54, 0) - mean(48, 0));
@@ -185,13 +190,17 @@ at::Tensor LandmarkCarrier::apply(const at::Tensor& landmarks) const {
     Frame frame = frames[t];
     for (int n = kMouth; n < kNumLandmarks; ++n) frame[n][0] *= static_cast<float>(width_);
     for (size_t i = 0; i < kLids.size(); ++i) {
-      const double scale = lids_[i] / mean_lids_[i];
-      const double open = std::max(0.0, 1 + opening(frame, kLids[i]) / mean_lids_[i]);
-      for (const int n : kLids[i]) {
-        for (int axis = 0; axis < 3; ++axis) frame[n][axis] *= static_cast<float>(scale);
+      const auto [upper, lower] = kLids[i];
+      const Eigen::Vector3d& mean = mean_gap_[i];
+      const double scale = lids_[i] / mean.norm();
+      Eigen::Vector3d apart;
+      for (int axis = 0; axis < 3; ++axis) apart[axis] = frame[upper][axis] - frame[lower][axis];
+      const double q = apart.dot(mean) / mean.squaredNorm();
+      const Eigen::Vector3d wanted = carried_lids(q) * own_gap_[i] + scale * (apart - q * mean);
+      for (int axis = 0; axis < 3; ++axis) {
+        frame[lower][axis] *= static_cast<float>(scale);
+        frame[upper][axis] = frame[lower][axis] + static_cast<float>(wanted[axis]);
       }
-      const double missing = carried_lids(open, lids_[i]) - opening(frame, kLids[i]);
-      frame[kLids[i][0]][1] += static_cast<float>(missing);
     }
     std::array<double, kInnerLips.size()> upper{}, lower{};
     double chin = 0;

@@ -20,7 +20,7 @@ bool lips_are_joined(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& fac
 struct SlitOptions {
   double edge = 1e-3;       // m: longer edges around the slit are halved
   double corridor = 0.004;  // m on either side of the inner lips' landmarks, in which they are
-  double gap = 1e-4;        // m between the lips afterwards
+  double gap = 2e-5;        // m between the lips afterwards
   double depth = 0.03;      // m of the pocket; 0: none
   template <class V>
   void fields(V& v) {

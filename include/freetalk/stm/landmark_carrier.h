@@ -4,7 +4,8 @@
 // lips, lids) has on the face a clearance s >= 0 at rest: how far its two sides are apart, measured
 // on the surface. With the vertical opening o of the pair in the motion,
 //   lips   o' = max(o - (s + c) w(o), -s - p),  w = 1 up to c, 0 from c + r, smooth between
-//   lids   o' = s q,  q = o / s_mean; near -1 smoothly led to -1 and a trace beyond
+//   lids   o' = s q,  q = o / s_mean; near -1 smoothly led to -1 and a trace beyond, along the line
+//          between the lids of the face instead of that of the mean face
 // so that lips whose motion is within c of the neutral face's meet, whatever their clearance, wider
 // openings stay, and no lip passes the other by more than p; lids close as far as the eye is open.
 // Lips of which more is to be closed than kUpperMost each do so with the lower one and the chin.
@@ -41,7 +42,8 @@ class LandmarkCarrier {
 
  private:
   std::array<double, 3> lips_{};
-  std::array<double, 4> lids_{}, mean_lids_{};
+  std::array<double, 4> lids_{};
+  std::array<Eigen::Vector3d, 4> own_gap_, mean_gap_;  // from lower to upper lid
   double width_ = 1.0;
 };
 

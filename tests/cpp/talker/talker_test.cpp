@@ -66,8 +66,9 @@ TEST_F(TalkerTest, SilenceGivesARestingFaceAndANotice) {
   Report report;
   const auto animation = talker.animate(hum(1.0, 0.0), face_mesh(1.0), options(), {}, &report);
   EXPECT_EQ(animation.num_frames(), 30);
-  ASSERT_EQ(report.notices.size(), 1u);
-  EXPECT_NE(report.notices[0].find("silent"), std::string::npos);
+  ASSERT_EQ(report.notices.size(), 2u);  // the test's face is one skin
+  EXPECT_NE(report.notices[0].find("the lips are one closed skin"), std::string::npos);
+  EXPECT_NE(report.notices[1].find("silent"), std::string::npos);
 }
 
 TEST_F(TalkerTest, BlinksUnlessAskedNotTo) {
