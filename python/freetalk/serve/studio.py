@@ -53,7 +53,10 @@ class Shelf:
         """Raises ``Refused`` where the shelf is full."""
         with self._lock:
             if len(self._items) >= self._most:
-                raise Refused(f"{self._most} {self._what} are kept at most: remove one first", 409)
+                raise Refused(
+                    f"{self._most} {self._what} are kept at most: start the server again to make room",
+                    409,
+                )
             self._items[item.id] = item
         return item
 
