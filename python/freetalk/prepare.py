@@ -71,7 +71,7 @@ def prepare_mesh(
         )
     look = load_appearance(mesh)
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
-    polygons: list[Polygon] = [list(p) for p in mesh.polygons or np.asarray(mesh.faces).tolist()]
+    polygons = _polygons(mesh)
     corners: list[Polygon] = [list(p) for p in mesh.polygon_texcoords] or [[] for _ in polygons]
     origin = list(range(len(polygons)))
     place = _places(vertices)
@@ -145,11 +145,10 @@ def open_lips(
     home = pose.apply(np.asarray(mesh.vertices))
     if not lips_are_joined(home, np.asarray(mesh.faces), marks):
         return prepared
-    polygons = mesh.polygons or np.asarray(mesh.faces).tolist()
     wanted = SlitOptions(**options)
     upright = Mesh(
         home,
-        polygons,
+        _polygons(mesh),
         texcoords=mesh.texcoords,
         polygon_texcoords=mesh.polygon_texcoords,
         name=mesh.name,
@@ -159,7 +158,7 @@ def open_lips(
     vertices[: len(home)] = mesh.vertices
     opened = Mesh(
         vertices,
-        slit.mesh.polygons or np.asarray(slit.mesh.faces).tolist(),
+        _polygons(slit.mesh),
         texcoords=slit.mesh.texcoords,
         polygon_texcoords=slit.mesh.polygon_texcoords,
         name=mesh.name,
@@ -168,14 +167,16 @@ def open_lips(
     if colours:
         for a, b, share in slit.vertex_origin:
             colours.append((1 - share) * colours[a] + share * colours[b])
-    before = prepared.appearance.polygon_material
-    look = prepared.appearance.carried(
-        slit.polygon_origin if before else [], np.asarray(colours).reshape(-1, 4)
-    )
+    look = prepared.appearance.carried(slit.polygon_origin, np.asarray(colours).reshape(-1, 4))
     step = f"a slit of {slit.edges} edges cut between the lips"
     if wanted.depth > 0:
         step += ", an inner mouth sewn behind it"
     return Prepared(opened, prepared.vertex_map, [*prepared.steps, step], look)
+
+
+def _polygons(mesh: Mesh) -> list[Polygon]:
+    """Its polygons, the triangles where it has no others; lists of their own."""
+    return [list(polygon) for polygon in mesh.polygons or np.asarray(mesh.faces).tolist()]
 
 
 def _said(count: int, what: str) -> list[str]:

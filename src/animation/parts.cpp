@@ -1,10 +1,10 @@
 #include "freetalk/animation/parts.h"
 
 #include <ATen/ATen.h>
-#include <algorithm>
 #include <cmath>
 
 #include "core/parallel.h"
+#include "core/smoothstep.h"
 #include "freetalk/animation/jaw.h"
 #include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
@@ -21,12 +21,6 @@ constexpr double kFarFromRoot = 0.10, kNearRoot = 0.03;
 
 using Weights = std::vector<std::pair<int, double>>;
 
-/// 1 below `near`, 0 beyond `far`, smooth between.
-double fade(double distance, double near, double far) {
-  const double u = std::clamp((distance - near) / (far - near), 0.0, 1.0);
-  return 1 - u * u * (3 - 2 * u);
-}
-
 /// Inverse squared distance weights over the nearest skin vertices.
 Weights follow_skin(const std::vector<mesh::Neighbour>& skin) {
   Weights weights;
@@ -37,7 +31,7 @@ Weights follow_skin(const std::vector<mesh::Neighbour>& skin) {
     weights.emplace_back(index, weight);
     sum += weight;
   }
-  const double share = fade(skin.front().distance, kNearSkin, kFarFromSkin) / sum;
+  const double share = core::fade(skin.front().distance, kNearSkin, kFarFromSkin) / sum;
   for (auto& [index, weight] : weights) weight *= share;
   return weights;
 }
@@ -62,7 +56,7 @@ void bind_part(const Eigen::MatrixXd& vertices, const std::vector<int>& members,
     if (root.empty()) continue;
     rows[v] = rows[roots[root.front().index]];
     for (auto& [index, weight] : rows[v]) {
-      weight *= fade(root.front().distance, kNearRoot, kFarFromRoot);
+      weight *= core::fade(root.front().distance, kNearRoot, kFarFromRoot);
     }
   }
 }

@@ -5,6 +5,8 @@
 #include <numbers>
 #include <utility>
 
+#include "core/smoothstep.h"
+
 namespace freetalk::mesh {
 namespace {
 
@@ -62,7 +64,7 @@ void sew_pocket(const std::vector<RimVertex>& upper, const std::vector<RimVertex
       const double inner = std::sin(std::numbers::pi * along);  // 0 at the corners
       Eigen::RowVector3d at = vertices.row(rim[place].vertex);
       at[0] += kNarrowing * far * (middle[0] - at[0]);
-      at[1] += (above ? kRoof : -kFloor) * depth * std::sqrt(inner) * far * far * (3 - 2 * far);
+      at[1] += (above ? kRoof : -kFloor) * depth * std::sqrt(inner) * core::smoothstep(far);
       at[2] -= depth * far * (kCornerDepth + (1 - kCornerDepth) * inner);
       vertices.row(first + ring * size + k) = at;
       slit.added.push_back({rim[place].vertex, rim[place].vertex, 0.0});

@@ -46,8 +46,7 @@ class FusedDiffusion {
   FusedDiffusion& operator=(FusedDiffusion&&) noexcept;
 
   /// @param in_work frames in work at a time, at most one a thread.
-  /// @returns (T, V, out_channels) float32. A frame's result
-  /// does not depend on the others.
+  /// @returns (T, V, out_channels) float32. A frame's result does not depend on the others.
   at::Tensor run(const FrameInputs& inputs, int64_t num_frames, int64_t in_work) const;
 
   /// Bytes that a frame in work takes.

@@ -80,7 +80,7 @@ class FusedEngine final : public FusedDiffusion::Engine {
 
   /// A frame's state, x, and a tile's.
   struct Work {
-    std::vector<float> x, sums, spectrum, scores, fields, of_project;
+    std::vector<float> x, sums, spectrum, scores, fields;
     std::vector<T> packed[3], mixed, rows, z, element, first, second, grouped, weights, attended;
     std::vector<std::vector<T>> keys, values;  // of each head, packed
 
@@ -89,7 +89,6 @@ class FusedEngine final : public FusedDiffusion::Engine {
           sums(size(e.modes_ * e.columns_)),
           spectrum(sums.size()),
           fields(size(kTile * e.field_row())),
-          of_project(size(kTile * e.outputs_)),
           mixed(sums.size()),
           rows(sums.size()),
           z(size(kTile * e.columns_)),

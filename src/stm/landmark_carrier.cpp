@@ -8,6 +8,7 @@
 #include <optional>
 #include <vector>
 
+#include "core/smoothstep.h"
 #include "freetalk/core/error.h"
 
 namespace freetalk::stm {
@@ -16,6 +17,7 @@ namespace {
 using core::kInnerLips;
 using core::kLids;
 using core::kNumLandmarks;
+using core::smoothstep;
 using Frame = at::TensorAccessor<float, 2>;
 
 constexpr double kReach = 0.005;        // m around a landmark, in which its side is looked for
@@ -33,11 +35,6 @@ constexpr double kShut = 0.08, kAjar = 0.3;  // e and where leading starts, of t
 constexpr double kLidPress = 0.02;                    // of the eye's opening
 constexpr double kNarrowest = 0.75, kBroadest = 1.3;  // of the mean mouth's width
 constexpr int kChin = 6, kChinEnd = 11, kMouth = 48;
-
-double smoothstep(double u) {
-  u = std::clamp(u, 0.0, 1.0);
-  return u * u * (3 - 2 * u);
-}
 
 /// Two sides of a gap, cut by the plane through a pair of landmarks.
 class Cut {

@@ -2,10 +2,10 @@
 
 #include <ATen/ATen.h>
 
-#include <algorithm>
 #include <cmath>
 #include <vector>
 
+#include "core/smoothstep.h"
 #include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
 #include "geometry/tensor_conversion.h"
@@ -23,12 +23,6 @@ Eigen::MatrixXd distances_of(const Eigen::MatrixXd& vertices, const Eigen::Matri
         std::sqrt((landmarks.rowwise() - vertices.row(v)).rowwise().squaredNorm().minCoeff());
   }
   return distances;
-}
-
-/// How much of the motion is made at a distance.
-double reach_at(double distance, const FollowOptions& options) {
-  const double u = std::clamp((distance - options.near) / (options.far - options.near), 0.0, 1.0);
-  return 1.0 - u * u * (3.0 - 2.0 * u);
 }
 
 }  // namespace
@@ -70,7 +64,8 @@ LandmarkFollower::LandmarkFollower(const Eigen::MatrixXd& vertices, const Eigen:
   shares_ = plain(places.shares);
   weights_ = plain(weights);
   const Eigen::MatrixXd distances = distances_of(vertices, landmarks);
-  reach_ = plain(distances.unaryExpr([&](double d) { return reach_at(d, options); }));
+  reach_ = plain(
+      distances.unaryExpr([&](double d) { return core::fade(d, options.near, options.far); }));
   const Eigen::MatrixXd lengths = (options.detail * distances).cwiseMin(options.coarsest);
   lengths_ = plain(lengths);
   if (lengths.maxCoeff() > 0) low_pass_.emplace(vertices, faces, lengths.col(0));

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <vector>
 
+#include "core/smoothstep.h"
 #include "freetalk/core/conventions.h"
 #include "uniform.h"
 
@@ -29,8 +30,7 @@ constexpr double kRemembered = 5;  // s, over which a stream knows the usual ope
 /// Lid closure in [0, 1] at a time since the blink began.
 double lid(double time) {
   const double left = kDuration - time;
-  const double share = std::clamp(std::min(time / kClosing, left / kOpening), 0.0, 1.0);
-  return share * share * (3 - 2 * share);
+  return core::smoothstep(std::min(time / kClosing, left / kOpening));
 }
 
 double opening_of(const at::TensorAccessor<float, 2>& frame, const Eigen::MatrixXd& landmarks) {

@@ -9,6 +9,7 @@
 #include <numeric>
 #include <utility>
 
+#include "core/smoothstep.h"
 #include "freetalk/core/error.h"
 #include "freetalk/core/random.h"
 #include "freetalk/head/fit.h"
@@ -32,8 +33,8 @@ at::Tensor reach(const Eigen::MatrixXd& vertices, const Eigen::MatrixXd& landmar
   for (Eigen::Index v = 0; v < vertices.rows(); ++v) {
     const double distance =
         std::sqrt((landmarks.rowwise() - vertices.row(v)).rowwise().squaredNorm().minCoeff());
-    const double t = std::clamp((kNoMotion - distance) / (kNoMotion - kWholeMotion), 0.0, 1.0);
-    to[v] = static_cast<float>(t * t * (3 - 2 * t));
+    to[v] =
+        static_cast<float>(core::smoothstep((kNoMotion - distance) / (kNoMotion - kWholeMotion)));
   }
   return share;
 }

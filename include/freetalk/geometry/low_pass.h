@@ -29,8 +29,8 @@ class SurfaceLowPass {
   SurfaceLowPass(const SurfaceLowPass&);
   SurfaceLowPass& operator=(const SurfaceLowPass&);
 
-  /// @param fields (T, V, C) floating. @returns (T, V, C), computed on the
-  /// host in double; differentiable. @throws std::invalid_argument for another number of vertices.
+  /// @param fields (T, V, C) floating. @returns (T, V, C), computed on the host in double;
+  /// differentiable. @throws std::invalid_argument for another number of vertices.
   at::Tensor apply(const at::Tensor& fields) const;
 
  private:

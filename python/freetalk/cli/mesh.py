@@ -42,13 +42,10 @@ def check(arguments: argparse.Namespace) -> None:
 
 
 def _lips_joined(arguments: argparse.Namespace, mesh: Any, alignment: Any) -> bool:
-    from freetalk import _native
     from freetalk.mesh import lips_are_joined
 
-    template = find_weights(arguments.pretrained) / "template.safetensors"
-    marks = _native.core.load_safetensors(str(template))["landmarks68"]
     home = alignment.to_canonical.apply(np.asarray(mesh.vertices))
-    return lips_are_joined(home, np.asarray(mesh.faces), marks)
+    return lips_are_joined(home, np.asarray(mesh.faces), _template(arguments)["landmarks68"])
 
 
 def prepare(arguments: argparse.Namespace) -> None:
@@ -113,12 +110,8 @@ def align(arguments: argparse.Namespace, vertices: Any, faces: Any) -> Any:
         ValueError: no such weights.
     """
     import freetalk.geometry
-    from freetalk import _native
 
-    template = find_weights(arguments.pretrained) / "template.safetensors"
-    tensors = _native.core.load_safetensors(
-        check_readable(str(template), "weights with a template")
-    )
+    tensors = _template(arguments)
     return freetalk.geometry.align_to_template(
         vertices,
         faces,
@@ -128,3 +121,14 @@ def align(arguments: argparse.Namespace, vertices: Any, faces: Any) -> Any:
         up=arguments.up,
         forward=arguments.forward,
     )
+
+
+def _template(arguments: argparse.Namespace) -> dict[str, Any]:
+    """The mean face of the weights: points, normals, landmarks68."""
+    from freetalk import _native
+
+    file = find_weights(arguments.pretrained) / "template.safetensors"
+    tensors: dict[str, Any] = _native.core.load_safetensors(
+        check_readable(str(file), "weights with a template")
+    )
+    return tensors
