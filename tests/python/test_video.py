@@ -12,7 +12,7 @@ import soundfile
 
 from freetalk.cli.app import main
 from freetalk.corpus.assets import load_face_model
-from freetalk.data import lip_opening, open_dataset
+from freetalk.data import check_dataset, lip_opening, open_dataset
 from freetalk.video import (
     FaceTrack,
     fit_talker,
@@ -128,6 +128,10 @@ def test_dataset_can_be_opened_and_says_what_was_left_out(tmp_path):
         assert fit["rotation"].shape == (90, 3, 3) and json.loads(str(fit["words"]))[0][2] == "bin"
     expected = np.tensordot(weights, load_face_model().landmark_basis, 1)
     assert np.allclose(dataset.landmarks(sequences[1]), expected, atol=1e-6)
+    assert dataset.expressions == load_face_model().expression_names
+    kept = dataset.weights(sequences[1])
+    assert np.array_equal(kept, weights[: len(kept)]) and len(kept) == sequences[1].num_frames
+    assert check_dataset(tmp_path / "out").ok
 
 
 def test_a_folder_that_holds_something_is_not_written_to(tmp_path):

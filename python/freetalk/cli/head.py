@@ -10,7 +10,7 @@ from typing import Any
 from freetalk.cli.numbers import natural, seed
 from freetalk.cli.outputs import check_readable, check_writable
 
-HELP = "neural parametric heads: sample, extract, fit, score"
+HELP = "neural parametric heads: sample, extract, fit, register, score"
 _HEAD = "folder of a head, such as 'freetalk train head' or 'freetalk head import' wrote"
 _MESHES = (".obj", ".ply")
 
@@ -23,6 +23,9 @@ def add_commands(nested: Any, command: Callable[..., Any]) -> None:
     add_sample(command(nested, "sample", "head:sample", "write the mesh of a new identity"))
     add_frames(command(nested, "extract", "head:extract", "write the meshes of codes"))
     add_fit(command(nested, "fit", "head:fit", "fit codes to meshes or scans"))
+    add_register(
+        command(nested, "register", "head_register:run", "fit a linear face model to scans")
+    )
     add_score(command(nested, "score", "head:score", "score a head on faces that it has not seen"))
 
 
@@ -81,6 +84,43 @@ def add_fit(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--points", type=int, default=2000, help="drawn from each file; 0: all")
     parser.add_argument("--fps", type=float, default=24.0, help="frames per second of the files")
+    parser.add_argument("--seed", type=seed, default=0, help="of the points drawn")
+
+
+def add_register(parser: argparse.ArgumentParser) -> None:
+    """Adds the options of ``freetalk head register``."""
+    parser.description = (
+        "Fits the built-in face, or FLAME, to scans of one face in any pose: one identity, and an expression and a pose a "
+        "frame. Writes registration.npz, the registered meshes (NAME.ply) and the scans in the same frame "
+        "(aligned/NAME.ply), which is that of 'freetalk head fit'."
+    )
+    parser.add_argument(
+        "files",
+        nargs="+",
+        metavar="FILE",
+        help="scans in the order of time: meshes, or .npy of points (P, 3)",
+    )
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder to write, new or empty")
+    parser.add_argument(
+        "--landmarks",
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="one for all scans of one meshing, or one a scan: as 'freetalk mesh landmarks' writes them, or .npy of "
+        "points (68, 3); by default they are looked for",
+    )
+    parser.add_argument(
+        "--flame", metavar="NPZ", help="your FLAME (docs/datasets.md) instead of the built-in face"
+    )
+    parser.add_argument(
+        "--identity", metavar="NPZ", help="a registration.npz whose identity is kept"
+    )
+    parser.add_argument("--unit", default="auto", help="of the scans: auto, m, cm, mm or in")
+    parser.add_argument(
+        "--points", type=int, default=2000, help="drawn from a scan in each step; 0: all"
+    )
+    parser.add_argument("--still", action="store_true", help="the scans are no sequence in time")
+    parser.add_argument("--fps", type=float, default=24.0, help="frames per second, for the record")
     parser.add_argument("--seed", type=seed, default=0, help="of the points drawn")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 from freetalk.corpus.assets import EXTENTS, crop_quads, load_face_model, triangulate
+from freetalk.data.expressive_faces import ExpressiveFace
 from freetalk.data.landmark_transfer import LinearFace
 
 
@@ -17,4 +18,18 @@ def built_in_face() -> LinearFace:
         triangulate(crop_quads(model, "face")),
         model.identity_basis[:, :count],
         model.landmarks68,
+    )
+
+
+@lru_cache(maxsize=1)
+def built_in_head() -> ExpressiveFace:
+    """The ICT face with neck, its expressions too."""
+    model, count = load_face_model(), EXTENTS["head"]
+    return ExpressiveFace(
+        model.neutral[:count],
+        triangulate(crop_quads(model, "head")),
+        model.identity_basis[:, :count],
+        model.landmarks68,
+        model.expression_basis[:, :count],
+        model.expression_names,
     )

@@ -41,7 +41,7 @@ class AtsTask(DenoisingTask):
         assert isinstance(config.task, AtsTaskOptions)
         self.options = config.task
         super().__init__(config, corpus, out, device, config.model)
-        self.features = self._speech_features(self.options.voices)
+        self.features = self._speech_features()
         fields = {"audio_dim": self.features.width, **config.model, "fps": self.corpus.fps}
         if fields["audio_dim"] != self.features.width:
             raise ValueError(

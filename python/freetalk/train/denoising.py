@@ -103,9 +103,7 @@ class DenoisingTask(ABC):
         if not self.held_out:
             raise ValueError(NO_VALIDATION.format(corpus.name, "sequences with sound"))
 
-    def _speech_features(
-        self, voices: dict[str, int] | None = None, resampling: str = "output"
-    ) -> FeatureCache:
+    def _speech_features(self, resampling: str = "output") -> FeatureCache:
         """Of all sequences; see :class:`FeatureCache`."""
         encoder = speech_encoder(self.options, self._out)
         self._encoder = encoder_record(encoder)
@@ -116,7 +114,7 @@ class DenoisingTask(ABC):
             Path(self.options.feature_cache or self._out / "cache"),
             self.options.feature_augmentations,
             self.device,
-            voices,
+            self.options.voices,
             resampling,
         )
 

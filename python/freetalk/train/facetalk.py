@@ -50,7 +50,7 @@ class FaceTalkTask(DenoisingTask):
         super().__init__(config, corpus, out, device, given, hears)
         own, rest = _codes_of(self.corpus, self.options.targets)
         resampling = str(given.get("feature_resampling", usual.feature_resampling))
-        features = self._speech_features(resampling=resampling) if hears else None
+        features = self._speech_features(resampling) if hears else None
         fields = {"audio_dim": features.width if features else MOTION_DIM, **own, **given}
         self.model_options = FaceTalkOptions.from_dict(fields)
         self.windows = CodeWindows(self.options, self.corpus, features, rest)

@@ -39,6 +39,8 @@ class DenoisingTaskOptions:
         feature_cache: folder of the computed speech features; empty takes ``OUT/cache``.
         feature_augmentations: extra copies of the features from changed audio (noise, room,
             band limits, speed).
+        voices: further copies by source, in other voices: pitch, formants and tempo changed, the motion
+            at that tempo; so that a model that learns from few talkers follows others.
         feature_noise: noise added to the features of each frame, relative to their standard
             deviation.
         feature_shift: noise that is the same in all frames of a window, likewise: what a speaker
@@ -66,6 +68,7 @@ class DenoisingTaskOptions:
     speech_encoder: str = ""
     feature_cache: str = ""
     feature_augmentations: int = 0
+    voices: dict[str, int] = field(default_factory=dict)
     feature_noise: float = 0.0
     feature_shift: float = 0.0
     feature_dropout: float = 0.0
@@ -95,8 +98,6 @@ class AtsTaskOptions(DenoisingTaskOptions):
     """Data and losses of the audio-to-landmarks stage.
 
     Attributes:
-        voices: further copies by source, in other voices: pitch, formants and tempo changed, the motion
-            at that tempo; so that a model that learns from few talkers follows others.
         rehearsal: share of the windows in which the noisy mouth, nose and jaw are made of the model's
             own first estimate, as in sampling, instead of the true motion [as DREAM, Zhou et al.
             2024]: sampling then does not enlarge what the first estimate got wrong. Brows and eyes
@@ -116,7 +117,6 @@ class AtsTaskOptions(DenoisingTaskOptions):
             rare; 1 weighs all alike (the paper).
     """
 
-    voices: dict[str, int] = field(default_factory=dict)
     rehearsal: float = 0.0
     affect_dropout: float = 0.0
     mosaic: float = 0.0

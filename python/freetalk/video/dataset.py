@@ -17,6 +17,7 @@ from freetalk._files import replacing, write_json, write_text
 from freetalk.audio import load_audio, save_wav
 from freetalk.corpus.assets import load_face_model
 from freetalk.data import import_dataset
+from freetalk.data.factors import write_weights
 from freetalk.data.landmarks import lip_opening
 from freetalk.video.fit import CLOSED_M, FittedClip, FittedTalker
 
@@ -80,8 +81,8 @@ def write_dataset(
 ) -> dict[str, Any]:
     """Packs clips as a dataset that training and evaluation open.
 
-    Beside what :mod:`freetalk.data.pack` tells, ``fit/NAME.npz`` holds the expression weights, the head's pose,
-    each frame's error and whether it is good, and the word times; ``report.json`` says how good the fit is and which clips were left out.
+    Its motion is the expression weights. Beside what :mod:`freetalk.data.pack` tells, ``fit/NAME.npz`` holds the
+    weights of all tracked frames, the head's pose, each frame's error and whether it is good, and the word times; ``report.json`` says how good the fit is and which clips were left out.
 
     Args:
         out: folder, new or empty.
@@ -135,6 +136,8 @@ def write_dataset(
     write_json(out / "report.json", report)
     write_text(out / "dataset.json", json.dumps({"fps": rates[0], "unit": "m"}))
     import_dataset("folder", out, packed, name=packed.name)
+    moved = {_name(talker, clip): clip.weights for talker in talkers for clip in talker.clips}
+    write_weights(packed, load_face_model().expression_names, moved)
     for name in ("fit", "report.json"):
         (out / name).rename(packed / name)
     shutil.rmtree(out)

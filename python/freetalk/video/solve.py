@@ -5,9 +5,8 @@ rotations, the logarithm of the scale, the shift and the weights w in [0, 1]. On
 
     (H + q D'D) dx = g,    H = blockdiag(J'WJ + ridge),    D = second differences in time
 
-for all frames at once by conjugate gradients with the blocks of each frame as preconditioner. W are the weights of an
-iteratively reweighted Geman-McClure loss, so that a few lost points do not move the face; weights that the
-step would take over a bound stop there.
+for all frames at once (:mod:`freetalk.data.bounded_steps`). W are the weights of an iteratively
+reweighted Geman-McClure loss, so that a few lost points do not move the face.
 """
 
 from __future__ import annotations
@@ -17,12 +16,16 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-_POSE = 6
+from freetalk.data.bounded_steps import (
+    POSE,
+    bounded_step,
+    second_differences,
+    turn_angles,
+    turned,
+)
+
 #: Width of the robust loss in each step: wide at first, as nothing is known of the mouth.
 _WIDTHS = (8.0, 3.0, 1.0, 1.0)
-_CG_STEPS = 6
-_BOUND_ROUNDS = 2
-_HELD = 1e6
 
 
 @dataclass(frozen=True)
@@ -143,13 +146,13 @@ def solve(
         weighted = (rows * trust[..., None]).mT
         normal, gradient = weighted @ rows, (weighted @ wanted[..., None])[..., 0]
         state = torch.cat([_pose_state(poses), weights], 1)
-        gradient[:, _POSE:] -= ridge * weights
-        normal.diagonal(dim1=1, dim2=2)[:, _POSE:] += ridge
+        gradient[:, POSE:] -= ridge * weights
+        normal.diagonal(dim1=1, dim2=2)[:, POSE:] += ridge
         normal.diagonal(dim1=1, dim2=2).add_(1e-4)
-        gradient -= smooth * _second_differences(state, inner)
-        change = _bounded_step(normal, gradient, weights, smooth, inner)
-        weights = (weights + change[:, _POSE:]).clamp(0, 1)
-        poses = _moved(poses, change[:, :_POSE])
+        gradient -= smooth * second_differences(state, inner)
+        change = bounded_step(normal, gradient, weights, smooth, inner)
+        weights = (weights + change[:, POSE:]).clamp(0, 1)
+        poses = _moved(poses, change[:, :POSE])
         residual = _residuals(points, weights, poses, face)
     return weights, poses
 
@@ -205,73 +208,15 @@ def _equations(
     return torch.cat(rows, 1), torch.cat(wanted, 1), torch.cat(trust, 1)
 
 
-def _second_differences(state: Tensor, inner: Tensor) -> Tensor:
-    """D'D applied to (T, X); `inner` (T - 2,) marks the differences that lie within a clip."""
-    if len(state) < 3:
-        return torch.zeros_like(state)
-    bend = (state[2:] - 2 * state[1:-1] + state[:-2]) * inner[:, None]
-    result = torch.zeros_like(state)
-    result[2:] += bend
-    result[1:-1] -= 2 * bend
-    result[:-2] += bend
-    return result
-
-
-def _bounded_step(
-    normal: Tensor, gradient: Tensor, weights: Tensor, smooth: Tensor, inner: Tensor
-) -> Tensor:
-    """The step (T, 6 + E); weights that it would take over a bound go to the bound, and the others make up for it."""
-    pull = gradient[:, _POSE:]
-    held = ((weights <= 0) & (pull < 0)) | ((weights >= 1) & (pull > 0))
-    way = torch.zeros_like(weights)  # of the held ones, to their bound
-    for _ in range(_BOUND_ROUNDS):
-        blocks, wanted = normal.clone(), gradient.clone()
-        blocks.diagonal(dim1=1, dim2=2)[:, _POSE:] += _HELD * held
-        wanted[:, _POSE:] += _HELD * held * way
-        change = _conjugate_gradients(blocks, wanted, smooth, inner)
-        reached = weights + change[:, _POSE:]
-        crossing = ((reached < 0) | (reached > 1)) & ~held
-        way = torch.where(crossing, reached.clamp(0, 1) - weights, way)
-        held = held | crossing
-    return change
-
-
-def _conjugate_gradients(normal: Tensor, gradient: Tensor, smooth: Tensor, inner: Tensor) -> Tensor:
-    blocks = normal + torch.diag(6 * smooth)
-    factor = torch.linalg.cholesky(blocks)
-    change = torch.zeros_like(gradient)
-    left = gradient.clone()
-    step = torch.cholesky_solve(left[..., None], factor)[..., 0]
-    direction, power = step, (left * step).sum()
-    for _ in range(_CG_STEPS):
-        image = torch.einsum("txy,ty->tx", normal, direction)
-        image += smooth * _second_differences(direction, inner)
-        length = power / (direction * image).sum().clamp_min(1e-30)
-        change = change + length * direction
-        left = left - length * image
-        step = torch.cholesky_solve(left[..., None], factor)[..., 0]
-        previous, power = power, (left * step).sum()
-        direction = step + power / previous.clamp_min(1e-30) * direction
-    return change
-
-
 def _pose_state(poses: Poses) -> Tensor:
     """(T, 6) poses as numbers whose second differences are those of the poses: they vary little."""
-    turn = poses.rotation
-    angles = [
-        turn[:, 2, 1] - turn[:, 1, 2],
-        turn[:, 0, 2] - turn[:, 2, 0],
-        turn[:, 1, 0] - turn[:, 0, 1],
-    ]
-    return torch.stack([*(a / 2 for a in angles), poses.scale.log(), *poses.shift.unbind(1)], 1)
+    angles = turn_angles(poses.rotation)
+    return torch.cat([angles, poses.scale.log()[:, None], poses.shift], 1)
 
 
 def _moved(poses: Poses, change: Tensor) -> Poses:
-    x, y, z = change[:, :3].unbind(1)
-    zero = torch.zeros_like(x)
-    skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], 1).unflatten(1, (3, 3))
     return Poses(
-        torch.linalg.matrix_exp(skew) @ poses.rotation,
+        turned(poses.rotation, change[:, :3]),
         poses.scale * change[:, 3].exp(),
         poses.shift + change[:, 4:6],
     )
