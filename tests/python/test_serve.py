@@ -23,6 +23,7 @@ from test_talker import write_weights
 import freetalk as ft
 from freetalk.corpus.assets import load_face_model
 from freetalk.corpus.topologies import crop, decimate
+from freetalk.faces import MARKS
 from freetalk.mesh import save_mesh
 from freetalk.page import read_take
 from freetalk.page.viewing import PAGE_HEADERS
@@ -271,6 +272,51 @@ def test_other_meshes_are_refused(
     answer = client.post("meshes", params={"name": name}, content=content)
     assert answer.status_code == 400
     assert message in answer.json()["error"] and "/tmp" not in answer.json()["error"]
+
+
+def test_a_marked_face_is_where_it_was_marked(client: TestClient, tmp_path: Path) -> None:
+    model = load_face_model()
+    mesh = small_face()
+    turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    save_mesh(tmp_path / "a.obj", ft.Mesh(mesh.vertices @ turn.T * 7 + 3, mesh.faces.tolist()))
+    sent = client.post(
+        "meshes", params={"name": "a.obj"}, content=(tmp_path / "a.obj").read_bytes()
+    ).json()
+    header, arrays = read_take(client.get(f"meshes/{sent['id']}").content)
+    assert header["frames"] == 1 and len(arrays["rest"]) == len(mesh.vertices)
+    # The page shows the mesh by some similarity, which its vertices tell.
+    marks = np.asarray(model.neutral, np.float64)[model.landmarks68]
+    home = np.hstack([np.asarray(mesh.vertices), np.ones((len(mesh.vertices), 1))])
+    to_page, *_ = np.linalg.lstsq(home, arrays["rest"].astype(np.float64), rcond=None)
+    shown = np.hstack([marks, np.ones((68, 1))]) @ to_page
+    chosen = shown[[index for index, _ in MARKS]]
+    answer = client.post(f"meshes/{sent['id']}/marks", json={"marks": chosen.tolist()})
+    assert answer.status_code == 200, answer.text
+    found = np.reshape(answer.json()["landmarks"], (68, 3))
+    size = np.linalg.norm(to_page[0])  # of a metre of the face in the page
+    assert np.linalg.norm(found - shown, axis=1).mean() < 0.003 * size
+    assert state(client)["meshes"][-1]["marked"]
+    sides = [[3, 2, 1, 0, 4, 6, 5, 7][i] for i in range(8)]
+    for wrong in (chosen[sides].tolist(), chosen[:5].tolist(), "here", None):
+        refusal = client.post(f"meshes/{sent['id']}/marks", json={"marks": wrong})
+        assert refusal.status_code == 400 and refusal.json()["error"]
+    assert client.delete(f"meshes/{sent['id']}").status_code == 204
+    assert client.get(f"meshes/{sent['id']}").status_code == 404
+
+
+def test_what_is_not_needed_is_removed(client: TestClient, take: str) -> None:
+    mesh = state(client)["meshes"][0]["id"]
+    assert client.delete(f"meshes/{mesh}").json()["error"].startswith("this is the only face")
+    sound = client.post("sounds", params={"name": "b.wav"}, content=wav()).json()["id"]
+    assert client.delete(f"sounds/{sound}").status_code == 204
+    assert sound not in [one["id"] for one in state(client)["sounds"]]
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "b.obj"
+        save_mesh(file, small_face())
+        other = client.post("meshes", params={"name": "b.obj"}, content=file.read_bytes()).json()
+    assert "takes on" in client.delete(f"meshes/{mesh}").json()["error"]
+    assert client.delete(f"meshes/{other['id']}").status_code == 204
+    assert client.delete(f"meshes/{other['id']}").status_code == 404
 
 
 def test_a_glb_that_names_other_files_is_refused() -> None:

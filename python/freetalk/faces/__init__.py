@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from freetalk.corpus.linear_face import built_in_face
 from freetalk.faces.detector import INSTALL, available, detector
 from freetalk.faces.landmarks import (
+    MARKS,
     FoundLandmarks,
     geometric_landmarks,
     home_pose,
+    marked_landmarks,
     seen_landmarks,
 )
 from freetalk.faces.search import search
@@ -23,11 +25,13 @@ from freetalk.faces.views import SurfaceViews
 from freetalk.geometry import Alignment
 
 __all__ = [
+    "MARKS",
     "FoundLandmarks",
     "NoFaceError",
     "available",
     "find_landmarks",
     "home_pose",
+    "marked_landmarks",
 ]
 
 

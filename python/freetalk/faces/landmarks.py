@@ -23,6 +23,19 @@ from freetalk.mesh import vertex_normals
 
 Points = NDArray[np.float64]
 
+#: Landmarks that a person marks, and how they are called; right and left are the face's own.
+MARKS = (
+    (36, "the outer corner of the face's right eye"),
+    (39, "the inner corner of the same eye"),
+    (42, "the inner corner of its left eye"),
+    (45, "the outer corner of the left eye"),
+    (30, "the tip of the nose"),
+    (48, "the right corner of the mouth"),
+    (54, "the left corner of the mouth"),
+    (8, "the lowest point of the chin, in the middle"),
+)
+#: Marks are about as certain (m), and this far (of their size) from those of a mean face at most.
+_MARKED_M, _MARKS_OFF = 0.002, 0.35
 #: Surface farther than this (m) from the middle of the face is not part of it.
 _FACE_RADIUS_M = 0.16
 #: A landmark as far as this (m) from the built-in face fitted to the surface is doubtful.
@@ -150,6 +163,58 @@ def geometric_landmarks(
         f"over {100 * found.fit.paired:.0f} % of it"
     )
     return FoundLandmarks(*places, confidence, found.fit, pose, summary)
+
+
+def marked_landmarks(
+    vertices: NDArray[Any], faces: NDArray[Any], marks: NDArray[Any]
+) -> Points:
+    """The landmarks of a face on which a person marked some: :data:`MARKS`.
+
+    The built-in face is fitted to the surface with its landmarks at the marks; what it misses there moves those
+    around them, so that faces that are not human keep their own proportions.
+
+    Args:
+        vertices: (V, 3) any unit and pose.
+        faces: (F, 3).
+        marks: (M, 3) the places of ``MARKS``, in their order.
+
+    Returns:
+        (68, 3) on the surface, in the mesh's own unit and axes.
+
+    Raises:
+        ValueError: other than M points, or they do not lie as those of a face do.
+    """
+    model, indices = built_in_face(), [index for index, _ in MARKS]
+    given = np.asarray(marks, dtype=np.float64)
+    if given.shape != (len(MARKS), 3) or not np.isfinite(given).all():
+        raise ValueError(f"marks must be ({len(MARKS)}, 3) numbers, found {given.shape}")
+    usual = np.asarray(model.neutral, np.float64)[model.landmarks]
+    pose = fit_pose(given, usual[indices], np.ones(len(given)))
+    targets = pose.apply(given)
+    off = np.linalg.norm(targets - usual[indices], axis=1).mean()
+    size = np.linalg.norm(usual[indices] - usual[indices].mean(axis=0), axis=1).mean()
+    nose = targets[indices.index(30), 2] - targets[:, 2].mean()
+    if nose < 0 or not off < _MARKS_OFF * size:  # mirrored, most marks fit a face seen from within
+        raise ValueError(
+            "the marks do not lie as those of a face do: its right eye is on your left when it looks at you"
+        )
+    home = pose.apply(vertices)
+    outward, _ = _outward(home, faces)
+    corners = np.repeat(np.asarray(model.landmarks)[indices][:, None], 3, axis=1)
+    anchors = Anchors(
+        corners, np.tile([1.0, 0.0, 0.0], (len(given), 1)), targets, np.full(len(given), _MARKED_M)
+    )
+    near = np.linalg.norm(home[outward].mean(axis=1), axis=1) < _FACE_RADIUS_M
+    try:
+        fitted = fit_face(home, outward[near], model, anchors).vertices
+    except ValueError:
+        fitted = np.asarray(model.neutral, dtype=np.float64)
+    wanted = fitted[model.landmarks]
+    reach = np.linalg.norm(wanted[:, None] - wanted[indices][None], axis=2)
+    share = 1 / (reach + _MARKED_M) ** 2
+    wanted = wanted + share @ (targets - wanted[indices]) / share.sum(axis=1, keepdims=True)
+    directions = vertex_normals(fitted, model.faces)[model.landmarks]
+    return np.asarray(pose.inverse().apply(on_surface(home, outward, wanted, directions)[3]))
 
 
 def _outward(home: Points, faces: NDArray[Any]) -> tuple[NDArray[np.int64], list[int]]:

@@ -43,7 +43,7 @@ def render_page(
 
 def render_studio(title: str) -> str:
     """The page that a server shows: without takes of its own, it may talk to where it came from."""
-    scripts = (*_SCRIPTS[:-1], "pad.js", "sound.js", "live.js", "studio.js")
+    scripts = (*_SCRIPTS[:-1], "pad.js", "sound.js", "live.js", "marking.js", "studio.js")
     page = _fill("", title, {}, scripts, "connect-src 'self'")
     return page.replace(_PANELS, _asset("studio.html"), 1)
 

@@ -18,6 +18,7 @@ from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Respon
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from freetalk.faces import MARKS
 from freetalk.page import render_studio
 from freetalk.page.viewing import PAGE_HEADERS
 from freetalk.serve import live
@@ -48,10 +49,14 @@ def make_app(studio: Studio, token: str) -> Starlette:
             ("", "GET", server.page),
             ("state", "GET", server.state),
             ("meshes", "POST", server.add_mesh),
+            ("meshes/{id}", "GET", server.still),
+            ("meshes/{id}", "DELETE", server.removes(studio.remove_mesh)),
+            ("meshes/{id}/marks", "POST", server.mark_face),
             ("sounds", "POST", server.add_sound),
+            ("sounds/{id}", "DELETE", server.removes(studio.sounds.remove)),
             ("takes", "POST", server.perform),
             ("takes/{id}", "GET", server.take),
-            ("takes/{id}", "DELETE", server.remove_take),
+            ("takes/{id}", "DELETE", server.removes(studio.remove_take)),
             ("takes/{id}/exports", "POST", server.export),
             ("jobs/{id}", "DELETE", server.stop_job),
             ("exports/{id}", "GET", server.exported),
@@ -109,6 +114,7 @@ class _Server:
             "emotions": list(talker.emotions),
             "max_intensity": talker.max_intensity,
             "formats": FORMATS,
+            "marks": [name for _, name in MARKS],
             "mesh_suffixes": MESH_SUFFIXES,
             "limits": {
                 "upload_bytes": self._studio.limits.upload_bytes,
@@ -121,6 +127,15 @@ class _Server:
         content = await self._body(request, self._studio.limits.upload_bytes)
         item = await run_sync(self._studio.add_mesh, request.query_params.get("name", ""), content)
         return JSONResponse(item.summary(), 201)
+
+    async def still(self, request: Request) -> Response:
+        take = await run_sync(self._studio.still, request.path_params["id"])
+        return Response(take, media_type="application/octet-stream")
+
+    async def mark_face(self, request: Request) -> Response:
+        marks = _object(await self._body(request, _JSON_BYTES)).get("marks")
+        found = await run_sync(self._studio.mark_face, request.path_params["id"], marks)
+        return JSONResponse({"landmarks": found.reshape(-1).tolist()})
 
     async def add_sound(self, request: Request) -> Response:
         content = await self._body(request, self._studio.limits.upload_bytes)
@@ -136,9 +151,14 @@ class _Server:
         take = self._studio.takes.get(request.path_params["id"])
         return Response(take.content, media_type="application/octet-stream")
 
-    async def remove_take(self, request: Request) -> Response:
-        await run_sync(self._studio.remove_take, request.path_params["id"])
-        return Response(status_code=204)
+    def removes(self, remove: Callable[[str], object]) -> Handler:
+        """A handler that forgets what the address names."""
+
+        async def handler(request: Request) -> Response:
+            await run_sync(remove, request.path_params["id"])
+            return Response(status_code=204)
+
+        return handler
 
     async def export(self, request: Request) -> Response:
         wish = _object(await self._body(request, _JSON_BYTES))

@@ -41,19 +41,7 @@ def whole_mesh_targets(face: Face, rig: FaceRig) -> NDArray[np.float32]:
 
 def rig_take(face: Face, rig: FaceRig, name: str) -> bytes:
     """The surface of a live stream as the page reads it."""
-    pose = face.report.alignment.to_canonical
-    matrix = np.eye(4)
-    matrix[:3, :3] = pose.scale * np.asarray(pose.rotation)
-    matrix[:3, 3] = np.asarray(pose.translation).reshape(3)
-    vertices = np.asarray(face.mesh.vertices, np.float32)
-    still = Sequence(
-        vertices=vertices,
-        faces=np.asarray(face.mesh.faces, np.int64),
-        displacements=np.zeros((1, *vertices.shape), np.float32),
-        fps=30.0,
-        upright_matrix=matrix,
-        located=True,
-    )
+    still = Sequence.at_rest(face.mesh, face.report.alignment.to_canonical, located=True)
     return pack_rig(still, whole_mesh_targets(face, rig), rig.names, name)
 
 

@@ -11,15 +11,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from freetalk.animation import Animation
 from freetalk.audio import Audio
+from freetalk.faces import marked_landmarks
 from freetalk.mesh import Mesh
 from freetalk.page import arkit_curves, find_landmarks, pack_take
 from freetalk.page.save import listed_facts
 from freetalk.serve.jobs import Job, JobQueue, Report
 from freetalk.serve.uploads import Limits, Refused, plain_name, read_mesh, read_sound
 from freetalk.talker import Face, Talker
-from freetalk.viz.sequence import as_sequence
+from freetalk.viz.sequence import Sequence, as_sequence
 
 #: Endings of downloads; of those that are several files, one archive.
 FORMATS = ("glb", "usda", "pc2", "npz", "html", "mp4", "csv", "json", "obj", "ply")
@@ -29,11 +33,12 @@ _LONGEST_EMOTION = 2000
 
 @dataclass
 class Item:
-    """A mesh, a recording or a take that is kept."""
+    """A mesh, a recording or a take that is kept, and its folder if it has one."""
 
     name: str
     content: Any
     facts: dict[str, Any] = field(default_factory=dict)
+    folder: Path | None = None
     id: str = field(default_factory=lambda: secrets.token_hex(8))
 
     def summary(self) -> dict[str, Any]:
@@ -53,10 +58,7 @@ class Shelf:
         """Raises ``Refused`` where the shelf is full."""
         with self._lock:
             if len(self._items) >= self._most:
-                raise Refused(
-                    f"{self._most} {self._what} are kept at most: start the server again to make room",
-                    409,
-                )
+                raise Refused(f"{self._most} {self._what} are kept at most: remove one first", 409)
             self._items[item.id] = item
         return item
 
@@ -98,6 +100,7 @@ class Studio:
         self.jobs = JobQueue(self.limits.waiting, self.limits.patience_s)
         self._folder = Path(tempfile.mkdtemp(prefix="freetalk_serve_"))
         self._faces: OrderedDict[str, Face] = OrderedDict()
+        self._landmarks: dict[str, NDArray[np.float64]] = {}
         self._faces_lock = threading.Lock()
         self._exports: list[Path] = []
         self._count = 0
@@ -114,13 +117,72 @@ class Studio:
         """Raises ``Refused``, see :func:`read_mesh`."""
         folder = Path(tempfile.mkdtemp(dir=self._folder))
         try:
-            return self._keep_mesh(read_mesh(name, content, self.limits, folder), plain_name(name))
+            mesh = read_mesh(name, content, self.limits, folder)
+            return self._keep_mesh(mesh, plain_name(name), folder)
         except Refused:
             shutil.rmtree(folder, ignore_errors=True)
             raise
 
-    def _keep_mesh(self, mesh: Mesh, name: str) -> Item:
-        return self.meshes.add(Item(name, mesh, {"vertices": len(mesh.vertices)}))
+    def _keep_mesh(self, mesh: Mesh, name: str, folder: Path | None = None) -> Item:
+        facts = {"vertices": len(mesh.vertices), "marked": False}
+        return self.meshes.add(Item(name, mesh, facts, folder))
+
+    def remove_mesh(self, mesh_id: str) -> None:
+        """Forgets a mesh and its file.
+
+        Raises:
+            Refused: it is the only one, or takes on it are kept.
+        """
+        item = self.meshes.get(mesh_id)
+        if len(self.meshes.summaries()) == 1:
+            raise Refused("this is the only face: add another first", 409)
+        if any(take["mesh"] == mesh_id for take in self.takes.summaries()):
+            raise Refused(f"takes on {item.name} are kept: remove them first", 409)
+        self.meshes.remove(mesh_id)
+        with self._faces_lock:
+            self._faces.pop(mesh_id, None)
+            self._landmarks.pop(mesh_id, None)
+        if item.folder is not None:
+            shutil.rmtree(item.folder, ignore_errors=True)
+
+    def still(self, mesh_id: Any) -> bytes:
+        """A mesh at rest as the page shows it, for marking its face."""
+        mesh = self.meshes.get(mesh_id)
+        return pack_take(self._at_rest(mesh.content), name=mesh.name)
+
+    def mark_face(self, mesh_id: Any, marks: Any) -> NDArray[np.float32]:
+        """Takes the places of ``freetalk.faces.MARKS`` for where the face of a mesh is.
+
+        Args:
+            mesh_id: of the mesh.
+            marks: (M, 3) as the page shows the mesh: of :meth:`still`.
+
+        Returns:
+            (68, 3) landmarks, as the page shows the mesh.
+
+        Raises:
+            Refused: they are no such points, or do not lie as those of a face do.
+        """
+        item = self.meshes.get(mesh_id)
+        sequence = self._at_rest(item.content)
+        to_mesh = np.linalg.inv(sequence.upright_matrix)
+        try:
+            points = np.asarray(marks, np.float64) @ to_mesh[:3, :3].T + to_mesh[:3, 3]
+            landmarks = marked_landmarks(
+                np.asarray(sequence.vertices, np.float64), sequence.faces, points
+            )
+        except (TypeError, ValueError) as error:
+            raise Refused(str(error)) from None
+        with self._faces_lock:
+            self._landmarks[mesh_id] = landmarks
+            self._faces.pop(mesh_id, None)
+        item.facts |= {"marked": True}
+        item.facts.pop("marks", None)
+        return sequence.upright(landmarks)
+
+    def _at_rest(self, mesh: Mesh) -> Sequence:
+        """A mesh as it lies, upright if its shape tells how."""
+        return Sequence.at_rest(mesh, self.talker.align(mesh).to_canonical)
 
     def add_sound(self, name: str, content: bytes) -> Item:
         """Raises ``Refused``, see :func:`read_sound`."""
@@ -149,7 +211,9 @@ class Studio:
         mesh = self.meshes.get(mesh_id).content
         with self._faces_lock:
             if mesh_id not in self._faces:
-                self._faces[mesh_id] = self.talker.prepare(mesh, progress=report)
+                self._faces[mesh_id] = self.talker.prepare(
+                    mesh, landmarks=self._landmarks.get(mesh_id), progress=report
+                )
                 while len(self._faces) > _PREPARED:
                     self._faces.popitem(last=False)
             self._faces.move_to_end(mesh_id)

@@ -53,6 +53,23 @@ class Sequence:
         if not self.fps > 0:
             raise ValueError(f"fps must be above 0, found {self.fps}")
 
+    @classmethod
+    def at_rest(cls, mesh: Any, pose: Any, *, located: bool = False) -> Sequence:
+        """One frame of a ``freetalk.Mesh`` that does not move.
+
+        Args:
+            mesh: in its own unit and axes.
+            pose: similarity into metres, +Y up, +Z out of the face.
+            located: whether that also brings the face's mean landmark to the origin.
+        """
+        matrix = np.eye(4)
+        matrix[:3, :3] = pose.scale * np.asarray(pose.rotation)
+        matrix[:3, 3] = np.asarray(pose.translation).reshape(3)
+        vertices = np.asarray(mesh.vertices, np.float32)
+        still = np.zeros((1, *vertices.shape), np.float32)
+        faces = np.asarray(mesh.faces, np.int64)
+        return cls(vertices, faces, still, 30.0, upright_matrix=matrix, located=located)
+
     @property
     def num_frames(self) -> int:
         """Number of motion frames T."""

@@ -477,6 +477,7 @@ class App {
       this.frameTimes.length = 0;
       this.judgedAt = null;
       this.scene.quality = 1;
+      this.scene.smooth = true;
       this.dirty = true;
     }
     if (!this.dirty && !this.player.playing) return;
@@ -495,12 +496,14 @@ class App {
     slider.setAttribute("aria-valuetext", text);
   }
 
-  /** A machine without a graphics card draws fewer pixels while it plays, all of them when it stands still. */
+  /** A machine without a graphics card draws fewer samples and pixels while it plays, all of them when it stands still. */
   adaptQuality(now) {
     if (this.film || (this.judgedAt !== null && now - this.judgedAt < 1000)) return;
     const first = this.judgedAt === null;
     this.judgedAt = now;
-    if (!first && this.frameTimes.length < SMOOTH) this.scene.quality = Math.max(0.4, this.scene.quality * 0.75);
+    if (first || this.frameTimes.length >= SMOOTH) return;
+    if (this.scene.smooth) this.scene.smooth = false;
+    else this.scene.quality = Math.max(0.4, this.scene.quality * Math.sqrt(Math.max(0.25, this.frameTimes.length / SMOOTH)));
   }
 
   drawStage() {

@@ -139,7 +139,13 @@ class Camera {
     const eye = target.map((c, k) => c + distance * out[k]);
     const size = Math.hypot(...extent);
     const projection = perspective(FIELD_OF_VIEW, aspect, Math.max(distance - 4 * size, 0.02 * distance), distance + 6 * size);
-    return { matrix: multiply(projection, lookAt(eye, target, [0, 1, 0])), eye, distance };
+    return { matrix: multiply(projection, lookAt(eye, target, [0, 1, 0])), eye, distance, axes: [right, up, out] };
+  }
+
+  /** Eye and direction of the ray through a place of a pane, both from -1 to 1, right and up. */
+  ray(framing, aspect, across, upward) {
+    const { eye, axes: [right, up, out] } = this.look(framing, aspect), half = Math.tan(FIELD_OF_VIEW / 2);
+    return { eye, along: unit(out.map((c, k) => across * half * aspect * right[k] + upward * half * up[k] - c)) };
   }
 }
 
@@ -317,13 +323,16 @@ class Marks extends Piece {
 class Scene {
   constructor(canvas) {
     this.canvas = canvas;
-    const gl = canvas.getContext("webgl2", { antialias: true, alpha: false, powerPreference: "high-performance" });
+    const gl = canvas.getContext("webgl2", { antialias: false, powerPreference: "high-performance" });
     if (!gl) throw new Error("This browser shows no WebGL2. Update it, or turn on its hardware acceleration.");
     this.gl = gl;
     this.camera = new Camera();
     this.backdrop = { top: [0.3, 0.3, 0.3], bottom: [0.1, 0.1, 0.1] };
     this.surfaces = new Map();
     this.quality = 1; // of the drawing's resolution: less while a slow machine plays
+    this.smooth = true; // several samples a pixel: one while a slow machine plays
+    this.samples = null; // the picture that they are drawn to
+    this.pins = null; // points that a person marks
     this.program = this.compile(VERTEX_SHADER, FRAGMENT_SHADER);
     this.backdropProgram = this.compile(BACKDROP_VERTEX, BACKDROP_FRAGMENT);
     this.at = Object.fromEntries(UNIFORMS.map((name) => [name, gl.getUniformLocation(this.program, name)]));
@@ -356,12 +365,37 @@ class Scene {
     if (this.canvas.width === width && this.canvas.height === height) return false;
     this.canvas.width = width;
     this.canvas.height = height;
+    this.forgetSamples();
     return true;
+  }
+
+  /** A picture as large as the canvas with four samples a pixel. */
+  sampled() {
+    if (this.samples) return this.samples.frame;
+    const { gl, canvas } = this, frame = gl.createFramebuffer(), count = Math.min(4, gl.getParameter(gl.MAX_SAMPLES));
+    gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
+    const buffers = [[gl.COLOR_ATTACHMENT0, gl.RGBA8], [gl.DEPTH_ATTACHMENT, gl.DEPTH_COMPONENT24]].map(([attachment, format]) => {
+      const buffer = gl.createRenderbuffer();
+      gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
+      gl.renderbufferStorageMultisample(gl.RENDERBUFFER, count, format, canvas.width, canvas.height);
+      gl.framebufferRenderbuffer(gl.FRAMEBUFFER, attachment, gl.RENDERBUFFER, buffer);
+      return buffer;
+    });
+    this.samples = { frame, buffers };
+    return frame;
+  }
+
+  forgetSamples() {
+    if (!this.samples) return;
+    this.samples.buffers.forEach((buffer) => this.gl.deleteRenderbuffer(buffer));
+    this.gl.deleteFramebuffer(this.samples.frame);
+    this.samples = null;
   }
 
   /** Draws panes [{take, box: [x, y, w, h] in shares of the canvas from its upper left}]. */
   draw(panes, look) {
-    const { gl, canvas } = this;
+    const { gl, canvas } = this, sampled = this.smooth ? this.sampled() : null;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, sampled);
     gl.enable(gl.DEPTH_TEST);
     gl.enable(gl.SCISSOR_TEST);
     const covered = panes.reduce((sum, { box }) => sum + box[2] * box[3], 0) > 0.999;
@@ -374,7 +408,15 @@ class Scene {
       this.drawBackdrop();
       if (pane.take) this.drawTake(pane.take, look, box[2] / Math.max(box[3], 1));
     }
+    if (!sampled) return;
+    gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, null);
+    gl.disable(gl.SCISSOR_TEST);
+    const all = [0, 0, canvas.width, canvas.height];
+    gl.blitFramebuffer(...all, ...all, gl.COLOR_BUFFER_BIT, gl.NEAREST);
   }
+
+  /** Marks points {x, y, z}, one after the other; none takes the marks away. */
+  pin(points) { this.pins = points.length ? new Piece(this.gl, new Float32Array(points), null) : null; }
 
   drawBackdrop() {
     const { gl } = this;
@@ -406,6 +448,7 @@ class Scene {
     if (look.wireframe) this.drawWires(surface, look);
     for (const extra of surface.extras) this.drawExtra(extra);
     if (look.landmarks && surface.marks) this.drawMarks(surface.marks);
+    if (this.pins) this.drawMarks(this.pins);
     gl.bindVertexArray(null);
   }
 
@@ -414,7 +457,7 @@ class Scene {
     gl.bindVertexArray(surface.array);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, buffer);
     gl.enable(gl.BLEND);
-    gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+    gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ZERO, gl.ONE);
     gl.uniform1i(at.mode, 4);
     gl.uniform4fv(at.flatColor, look.wireColor);
     gl.drawElements(gl.LINES, count, gl.UNSIGNED_INT, 0);

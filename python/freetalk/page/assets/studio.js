@@ -28,6 +28,8 @@ class StudioPage {
     on("sound-file", "change", (event) => this.addFiles(event.target.files));
     on("mesh-file", "change", (event) => this.addFiles(event.target.files));
     on("record", "click", () => this.record());
+    on("mark-face", "click", () => this.markFace());
+    for (const kind of ["mesh", "sound"]) on(`remove-${kind}`, "click", () => this.remove(kind));
     on("sound", "change", () => this.soundChosen());
     on("add-key", "click", () => this.pad.addAt(Math.min(this.app.player.time(), this.pad.duration)));
     on("dice", "click", () => (element("seed").value = Math.floor(Math.random() * 1e6)));
@@ -69,9 +71,10 @@ class StudioPage {
       this.pad.setNames(state.emotions, state.max_intensity);
       element("mesh-file").accept = state.mesh_suffixes.join(",");
     }
-    this.list("mesh", state.meshes, (mesh) => `${mesh.name} · ${mesh.vertices.toLocaleString("en")} vertices`, "");
+    this.list("mesh", state.meshes, (mesh) => `${mesh.name} · ${mesh.vertices.toLocaleString("en")} vertices${mesh.marked ? ", marked" : ""}`, "");
     this.list("sound", state.sounds, (sound) => `${sound.name} · ${clockText(sound.seconds)}`, "nothing yet");
-    element("generate").disabled = state.sounds.length === 0;
+    element("generate").disabled = element("remove-sound").disabled = state.sounds.length === 0;
+    element("remove-mesh").disabled = state.meshes.length === 1;
     this.soundChosen();
     this.listJobs();
     await this.loadTakes();
@@ -81,8 +84,9 @@ class StudioPage {
   }
 
   list(id, items, text, empty) {
-    const select = element(id), before = select.value, ids = items.map((item) => item.id);
-    if (ids.join() === [...select.options].map((option) => option.value).join()) return;
+    const select = element(id), before = select.value, ids = items.map((item) => item.id), key = items.map(text).join() + ids;
+    if (key === select.dataset.key) return;
+    select.dataset.key = key;
     const added = items.length > select.options.length && items.at(-1);
     select.replaceChildren(...items.map((item) => new Option(text(item), item.id)));
     if (!items.length) select.append(new Option(empty, ""));
@@ -186,6 +190,41 @@ class StudioPage {
       event.preventDefault();
       app.classList.remove("dropping");
       this.attempt(() => this.addFiles(event.dataTransfer.files));
+    });
+  }
+
+  async remove(kind) {
+    await ask(`${kind === "mesh" ? "meshes" : "sounds"}/${element(kind).value}`, "DELETE");
+    this.wake();
+  }
+
+  /** Shows the mesh at rest and asks where its eyes, nose, mouth and chin are. */
+  async markFace() {
+    if (this.marking) return this.marking.end(null);
+    const { app } = this, id = element("mesh").value, before = app.shown;
+    const take = await openTake(new Uint8Array(await (await ask(`meshes/${id}`)).arrayBuffer()), "still");
+    const leave = () => {
+      app.scene.pin([]);
+      app.scene.surfaces.delete(take);
+      app.show(before.filter((one) => app.takes.includes(one)));
+      if (!app.shown.length) this.invite();
+    };
+    app.player.pause();
+    take.letter = "";
+    app.scene.camera.reset(0, 0);
+    app.show([take]);
+    this.marking = new FaceMarking(app, take, this.state.marks, async (marks) => {
+      this.marking = null;
+      await this.attempt(async () => {
+        if (!marks) return;
+        const { landmarks } = await (await ask(`meshes/${id}/marks`, "POST", { marks })).json();
+        app.scene.pin(landmarks);
+        app.refresh();
+        app.say("The face is there: these points move it.");
+        this.wake();
+        await new Promise((done) => setTimeout(done, 3000));
+      });
+      leave();
     });
   }
 

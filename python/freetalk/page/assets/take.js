@@ -126,6 +126,23 @@ class Take {
     }
   }
 
+  /** Where a ray meets the surface first; null where it does not. */
+  hit(eye, along) {
+    const { positions: p, faces, corners } = this, at = (i) => 3 * (corners ? corners[i] : i);
+    let nearest = Infinity;
+    for (let f = 0; f < faces.length; f += 3) {
+      const a = at(faces[f]), b = at(faces[f + 1]), c = at(faces[f + 2]);
+      const u = [p[b] - p[a], p[b + 1] - p[a + 1], p[b + 2] - p[a + 2]], v = [p[c] - p[a], p[c + 1] - p[a + 1], p[c + 2] - p[a + 2]];
+      const q = cross(along, v), size = dot(u, q);
+      if (!size) continue;
+      const from = [eye[0] - p[a], eye[1] - p[a + 1], eye[2] - p[a + 2]], s = dot(from, q) / size;
+      if (s < 0 || s > 1) continue;
+      const r = cross(from, u), t = dot(along, r) / size, distance = dot(v, r) / size;
+      if (t >= 0 && s + t <= 1 && distance > 0 && distance < nearest) nearest = distance;
+    }
+    return nearest < Infinity ? eye.map((c, k) => c + nearest * along[k]) : null;
+  }
+
   /** Whether errors against another take can be told: the same surface, vertex by vertex. */
   matches(other) { return other.vertices === this.vertices && other.faces.length === this.faces.length; }
 
