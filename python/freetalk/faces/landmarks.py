@@ -165,9 +165,7 @@ def geometric_landmarks(
     return FoundLandmarks(*places, confidence, found.fit, pose, summary)
 
 
-def marked_landmarks(
-    vertices: NDArray[Any], faces: NDArray[Any], marks: NDArray[Any]
-) -> Points:
+def marked_landmarks(vertices: NDArray[Any], faces: NDArray[Any], marks: NDArray[Any]) -> Points:
     """The landmarks of a face on which a person marked some: :data:`MARKS`.
 
     The built-in face is fitted to the surface with its landmarks at the marks; what it misses there moves those
