@@ -70,6 +70,33 @@ void bind_mesh_class(py::module_& m) {
           },
           py::arg("polygon_origin"), py::arg("colours"),
           "The same on a mesh whose polygons look like those (-1: like none), vertices like that.")
+      .def(
+          "with_parts",
+          [](mesh::Appearance self, size_t num_polygons,
+             const std::vector<std::pair<std::string, Eigen::Vector3d>>& materials,
+             const std::vector<int>& polygon_material, Eigen::Index num_vertices) {
+            if (self.materials.empty()) self.polygon_material.assign(num_polygons, -1);
+            const auto first = static_cast<int>(self.materials.size());
+            for (const auto& [name, colour] : materials) {
+              self.materials.push_back({name, {colour[0], colour[1], colour[2], 1.0}, {}});
+            }
+            for (const int number : polygon_material) {
+              FREETALK_CHECK(number >= 0 && number < static_cast<int>(materials.size()),
+                             "there is no material ", number);
+              self.polygon_material.push_back(first + number);
+            }
+            if (self.colours.rows() > 0) {
+              const Eigen::Index before = self.colours.rows();
+              self.colours.conservativeResize(before + num_vertices, Eigen::NoChange);
+              self.colours.bottomRows(num_vertices).setOnes();
+            }
+            return self;
+          },
+          py::arg("num_polygons"), py::arg("materials"), py::arg("polygon_material"),
+          py::arg("num_vertices"),
+          "The same of a mesh of so many polygons to which others of further materials (name, "
+          "linear colour) were "
+          "added, and so many vertices.")
       .def_readonly("polygon_material", &mesh::Appearance::polygon_material,
                     "(P,) of each polygon, -1 for none; empty without materials.")
       .def_property_readonly(

@@ -6,15 +6,18 @@
 #include <map>
 #include <sstream>
 #include <stdexcept>
+#include <string>
 #include <system_error>
 
 #include "core/file.h"
+#include "mesh/gltf_buffers.h"
 #include "mesh/mesh_file.h"
 
 namespace freetalk::mesh {
 namespace {
 
 namespace fs = std::filesystem;
+using nlohmann::json;
 
 /// A file beside `owner` or below; of a path into another folder, as other machines leave them, the
 /// file of that name beside `owner`. @returns an empty path where there is none.
@@ -30,14 +33,51 @@ fs::path neighbour(const fs::path& owner, std::string name) {
   return fs::is_regular_file(beside, error) ? beside : fs::path();
 }
 
-/// Empty where the file is no PNG or JPEG.
-Texture read_texture(const fs::path& owner, const std::string& name) {
-  const fs::path path = neighbour(owner, name);
-  if (path.empty()) return {};
-  Texture texture{path.filename().string(), "", core::read_text(path)};
+/// Empty where the bytes are no PNG or JPEG.
+Texture texture_of(const std::string& name, std::string bytes) {
+  Texture texture{name, "", std::move(bytes)};
   if (texture.bytes.compare(0, 4, "\x89PNG") == 0) texture.media_type = "image/png";
   if (texture.bytes.compare(0, 3, "\xFF\xD8\xFF") == 0) texture.media_type = "image/jpeg";
   return texture.media_type.empty() ? Texture() : texture;
+}
+
+/// Empty where there is no such file, or it is no PNG or JPEG.
+Texture read_texture(const fs::path& owner, const std::string& name) {
+  const fs::path path = neighbour(owner, name);
+  return path.empty() ? Texture() : texture_of(path.filename().string(), core::read_text(path));
+}
+
+/// The picture of a texture by its index; empty where it is of another kind or not there.
+Texture gltf_texture(const GltfDocument& document, int64_t index) {
+  const json& texture = document.list("textures").at(static_cast<size_t>(index));
+  if (!texture.contains("source")) return {};
+  const json& images = document.list("images");
+  const int64_t number = document.index(texture, "source", images.size());
+  const json& image = images[static_cast<size_t>(number)];
+  const std::string bytes = image.contains("uri")
+                                ? document.content_of(image.at("uri").get<std::string>())
+                                : document.view_bytes(document.whole(image, "bufferView"));
+  Texture found = texture_of("texture" + std::to_string(number), bytes);
+  found.name += found.media_type == "image/png" ? ".png" : ".jpg";
+  return found;
+}
+
+std::vector<Material> gltf_materials(const fs::path& source) {
+  const GltfDocument document(source, core::read_text(source));
+  std::vector<Material> materials;
+  for (const json& entry : document.list("materials")) {
+    Material& material = materials.emplace_back();
+    material.name = entry.value("name", "material" + std::to_string(materials.size()));
+    const json& look = entry.value("pbrMetallicRoughness", json::object());
+    if (look.contains("baseColorFactor")) {
+      material.colour = Eigen::Vector4d(document.numbers(look, "baseColorFactor", 4).data());
+    }
+    if (!look.contains("baseColorTexture")) continue;
+    const json& texture = look.at("baseColorTexture");
+    material.texture =
+        gltf_texture(document, document.index(texture, "index", document.list("textures").size()));
+  }
+  return materials;
 }
 
 /// Options of a texture take a known number of words: "-s 1 1 1 -clamp on skin.png".
@@ -124,13 +164,16 @@ Appearance load_appearance(const Mesh& mesh) {
   Appearance appearance;
   const std::string extension = core::lower_extension(mesh.source);
   std::error_code error;
+  const bool gltf = extension == "glb" || extension == "gltf";
   const bool readable =
-      (extension == "obj" || extension == "ply") && fs::is_regular_file(mesh.source, error);
+      (gltf || extension == "obj" || extension == "ply") && fs::is_regular_file(mesh.source, error);
   if (!readable) return appearance;
   RawMesh raw;
+  std::vector<Material> materials;
   try {
     raw = read_raw_mesh(mesh.source);
-  } catch (const std::runtime_error&) {  // another file by now
+    if (gltf) materials = gltf_materials(mesh.source);
+  } catch (const std::exception&) {  // another file by now, or a picture that is not there
     return appearance;
   }
   std::vector<int> polygon_material;
@@ -146,8 +189,8 @@ Appearance load_appearance(const Mesh& mesh) {
   for (size_t v = 0; v < raw.colours.size(); ++v) {
     appearance.colours.row(static_cast<Eigen::Index>(v)) = raw.colours[v];
   }
-  if (extension == "obj") {
-    appearance.materials = obj_materials(mesh.source, raw);
+  if (gltf || extension == "obj") {
+    appearance.materials = gltf ? std::move(materials) : obj_materials(mesh.source, raw);
     appearance.polygon_material = std::move(polygon_material);
   } else if (!raw.material_files.empty()) {
     Texture texture = read_texture(mesh.source, raw.material_files.front());

@@ -308,6 +308,10 @@ int64_t GltfDocument::accessor_count(int64_t accessor) const {
   return count;
 }
 
+int64_t GltfDocument::accessor_width(int64_t accessor) const {
+  return type_width(accessor_at(accessor).value("type", std::string()));
+}
+
 std::vector<double> GltfDocument::accessor_numbers(int64_t accessor, int64_t width) const {
   const json& object = accessor_at(accessor);
   const int64_t count = accessor_count(accessor);

@@ -43,6 +43,8 @@ class GltfDocument {
   /// Bytes of all buffers.
   int64_t num_bytes() const;
   int64_t accessor_count(int64_t accessor) const;
+  /// Numbers in an element, 0 for an unknown type.
+  int64_t accessor_width(int64_t accessor) const;
   /// All elements of an accessor of `width` numbers each, normalised where it says so.
   std::vector<double> accessor_numbers(int64_t accessor, int64_t width) const;
   /// All elements of an accessor of single unsigned numbers.

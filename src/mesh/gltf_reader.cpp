@@ -1,9 +1,10 @@
 // glTF 2.0 and GLB to RawMesh: the triangles of every mesh the scene shows, moved by its nodes.
-// Materials, skins, animations and morph targets are left aside: the shape is the one at rest.
+// Skins, animations and morph targets are left aside: the shape is the one at rest.
 #include <Eigen/Geometry>
 #include <nlohmann/json.hpp>
 
 #include <algorithm>
+#include <cmath>
 #include <map>
 #include <numeric>
 
@@ -36,6 +37,9 @@ class GltfScene {
       }
     }
     if (mesh_.texcoords.empty()) mesh_.polygon_texcoords.clear();
+    if (document_.list("materials").empty()) mesh_.polygon_material.clear();
+    if (!mesh_.colours.empty())
+      mesh_.colours.resize(mesh_.vertices.size(), Eigen::Vector4d::Ones());
     return std::move(mesh_);
   }
 
@@ -145,7 +149,30 @@ class GltfScene {
       texture = add_texcoords(texcoords, rows);
       check_range(corners, texcoords);
     }
+    if (attributes.contains("COLOR_0")) add_colours(attributes, positions, first);
     add_triangles(corners, mode, first, texture, placement.linear().determinant() < 0.0);
+    const bool plain = !primitive.contains("material");
+    const int64_t material =
+        plain ? -1 : document_.index(primitive, "material", document_.list("materials").size());
+    mesh_.polygon_material.resize(mesh_.polygons.size(), static_cast<int>(material));
+  }
+
+  /// Colours of the vertices from `first` on, from glTF's linear ones.
+  void add_colours(const json& attributes, int64_t positions, int first) {
+    const int64_t accessor = document_.whole(attributes, "COLOR_0");
+    const int64_t count = document_.accessor_count(positions);
+    const int64_t width = document_.accessor_width(accessor);
+    if (document_.accessor_count(accessor) != count || width < 3) return;
+    const std::vector<double> values = document_.accessor_numbers(accessor, width);
+    mesh_.colours.resize(static_cast<size_t>(first + count), Eigen::Vector4d::Ones());
+    for (int64_t v = 0; v < count; ++v) {
+      for (int64_t k = 0; k < std::min<int64_t>(width, 4); ++k) {
+        const double linear = std::clamp(values[static_cast<size_t>(width * v + k)], 0.0, 1.0);
+        const double screen =
+            linear <= 0.0031308 ? 12.92 * linear : 1.055 * std::pow(linear, 1 / 2.4) - 0.055;
+        mesh_.colours[static_cast<size_t>(first + v)][k] = k < 3 ? screen : linear;
+      }
+    }
   }
 
   std::vector<int64_t> corners_of(const json& primitive, int64_t positions) const {

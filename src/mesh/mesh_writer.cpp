@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <charconv>
 #include <cmath>
 #include <cstring>
@@ -40,6 +41,9 @@ std::string texture_file(const std::string& stem, const Texture& texture) {
   return texture.name.starts_with(stem) ? texture.name : stem + "_" + texture.name;
 }
 
+/// What polygons without a material have in an OBJ whose other polygons have some.
+const std::string kPlain = "plain";
+
 std::string to_mtl(const std::string& stem, const std::vector<Material>& materials) {
   std::string out;
   for (const Material& material : materials) {
@@ -68,8 +72,9 @@ std::string to_obj(const Mesh& mesh, const Appearance& look = {}, const std::str
   for (int64_t p = 0; p < mesh.num_polygons(); ++p) {
     const int material =
         look.materials.empty() ? -1 : look.polygon_material[static_cast<size_t>(p)];
-    if (material >= 0 && material != used) {
-      out += "usemtl " + look.materials[static_cast<size_t>(material)].name + "\n";
+    if (material != used) {
+      out += "usemtl " +
+             (material < 0 ? kPlain : look.materials[static_cast<size_t>(material)].name) + "\n";
       used = material;
     }
     const std::vector<int> polygon = mesh.polygon(p);
@@ -185,7 +190,9 @@ void save_mesh(const std::filesystem::path& path, const Mesh& mesh, const Appear
                             material.texture.bytes);
   }
   if (obj && !materials.empty()) {
-    core::write_file_atomic(path.parent_path() / (stem + ".mtl"), to_mtl(stem, materials));
+    std::vector<Material> all = materials;
+    if (std::ranges::count(polygon_material, -1) > 0) all.emplace_back().name = kPlain;
+    core::write_file_atomic(path.parent_path() / (stem + ".mtl"), to_mtl(stem, all));
   }
   core::write_file_atomic(path,
                           obj ? to_obj(mesh, appearance, stem) : to_ply(mesh, appearance, stem));

@@ -40,10 +40,10 @@ KERNEL_CALLERS = {"geometry", "nn", "speech"}
 PYTHON_LAYERS: dict[str, int] = {
     "viz": 1,
     "data": 1,
-    "prepare": 1,
     "corpus": 2,
     "exports": 3,
     "page": 4,
+    "prepare": 3,
     "faces": 3,
     "train": 3,
     "video": 3,

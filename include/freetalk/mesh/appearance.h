@@ -33,7 +33,8 @@ struct Appearance {
 };
 
 /// Looks up `mesh.source` again: MTL libraries and vertex colours of an OBJ, vertex colours and
-/// texture of a PLY. Only pictures and libraries in the folder of the file (or below it) are read.
+/// texture of a PLY, base colours, their textures and vertex colours of a glTF. Only pictures and
+/// libraries in the folder of the file (or below it) are read.
 /// @returns nothing where the mesh has no file, the file is gone or of another kind, or it no
 /// longer has the polygons and vertices of `mesh`.
 Appearance load_appearance(const Mesh& mesh);

@@ -104,6 +104,18 @@ class Appearance:
         """
         The same on a mesh whose polygons look like those (-1: like none), vertices like that.
         """
+    def with_parts(
+        self,
+        num_polygons: typing.SupportsInt | typing.SupportsIndex,
+        materials: collections.abc.Sequence[
+            tuple[str, typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[3, 1]"]]
+        ],
+        polygon_material: collections.abc.Sequence[typing.SupportsInt | typing.SupportsIndex],
+        num_vertices: typing.SupportsInt | typing.SupportsIndex,
+    ) -> Appearance:
+        """
+        The same of a mesh of so many polygons to which others of further materials (name, linear colour) were added, and so many vertices.
+        """
     @property
     def colours(self) -> typing.Annotated[numpy.typing.NDArray[numpy.float64], "[m, n]"]:
         """

@@ -56,7 +56,7 @@ def prepare(arguments: argparse.Namespace) -> None:
         check_writable(path)
     import freetalk
     from freetalk._files import replacing
-    from freetalk.prepare import prepare_mesh
+    from freetalk.prepare import prepare_mesh, save_prepared
 
     prepared = prepare_mesh(
         freetalk.load_mesh(file),
@@ -65,11 +65,11 @@ def prepare(arguments: argparse.Namespace) -> None:
         winding=not arguments.keep_winding,
         holes=arguments.holes,
     )
-    if not arguments.keep_lips:
-        prepared = _open_lips(arguments, prepared)
+    if arguments.parts or not arguments.keep_lips:
+        prepared = _open_face(arguments, prepared)
     for step in prepared.steps or ["nothing to repair"]:
         print(f"  {step}")
-    freetalk.mesh.save_mesh(arguments.out, prepared.mesh, prepared.appearance)
+    save_prepared(arguments.out, prepared)
     print(f"wrote {arguments.out}: {len(prepared.mesh.vertices)} vertices")
     if arguments.map is not None:
         with replacing(Path(arguments.map)) as temporary, temporary.open("wb") as stream:
@@ -77,10 +77,10 @@ def prepare(arguments: argparse.Namespace) -> None:
         print(f"wrote {arguments.map}")
 
 
-def _open_lips(arguments: argparse.Namespace, prepared: Any) -> Any:
-    """The mesh with lips apart; says why not where no face is found on it."""
+def _open_face(arguments: argparse.Namespace, prepared: Any) -> Any:
+    """The mesh with lips apart and what is behind them; says why not where no face is found on it."""
     from freetalk.faces import find_landmarks
-    from freetalk.prepare import open_lips
+    from freetalk.prepare import add_inner_parts, open_lips
     from freetalk.talker.where import place
 
     mesh = prepared.mesh
@@ -92,12 +92,14 @@ def _open_lips(arguments: argparse.Namespace, prepared: Any) -> Any:
         try:
             found = find_landmarks(vertices, faces, align(arguments, vertices, faces))
         except ValueError as error:
-            print(f"  the lips were not looked at: {error}")
+            print(f"  lips and eyes were not looked at: {error}")
             return prepared
         print(f"  {found.summary}")
         pose, marks = found.pose, found.positions
-    depth = {"depth": 0.0} if arguments.no_inner_mouth else {}
-    return open_lips(prepared, pose, marks, **depth)
+    if not arguments.keep_lips:
+        depth = {"depth": 0.0} if arguments.parts or arguments.no_inner_mouth else {}
+        prepared = open_lips(prepared, pose, marks, **depth)
+    return add_inner_parts(prepared, pose, marks) if arguments.parts else prepared
 
 
 def align(arguments: argparse.Namespace, vertices: Any, faces: Any) -> Any:

@@ -43,7 +43,7 @@ def add_prepare(parser: argparse.ArgumentParser) -> None:
         "and an inner mouth is sewn behind them. Texture coordinates, materials and colours are kept."
     )
     parser.add_argument("file", metavar="FILE", help="OBJ, PLY, OFF, STL or glTF")
-    parser.add_argument("--out", required=True, metavar="FILE", help="OBJ or PLY to write")
+    parser.add_argument("--out", required=True, metavar="FILE", help="OBJ, PLY or glTF to write")
     parser.add_argument("--map", metavar="NPY", help="also write the new vertex of each old one")
     parser.add_argument(
         "--floating",
@@ -66,6 +66,11 @@ def add_prepare(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--no-inner-mouth", action="store_true", help="cut a slit, but sew nothing behind it"
+    )
+    parser.add_argument(
+        "--parts",
+        action="store_true",
+        help="put teeth, gums and a tongue behind open lips and eyeballs behind open lids",
     )
     parser.add_argument(
         "--landmarks",

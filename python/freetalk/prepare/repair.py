@@ -3,12 +3,17 @@ optional and reported."""
 
 from __future__ import annotations
 
+import os
 from collections import defaultdict, deque
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
+from freetalk.animation import Animation
 from freetalk.geometry import Similarity
 from freetalk.mesh import (
     Appearance,
@@ -19,6 +24,8 @@ from freetalk.mesh import (
     cut_lips,
     lips_are_joined,
     load_appearance,
+    load_mesh,
+    save_mesh,
 )
 
 #: A part with less than this share of the polygons floats beside the face by mistake.
@@ -71,7 +78,7 @@ def prepare_mesh(
         )
     look = load_appearance(mesh)
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
-    polygons = _polygons(mesh)
+    polygons = polygons_of(mesh)
     corners: list[Polygon] = [list(p) for p in mesh.polygon_texcoords] or [[] for _ in polygons]
     origin = list(range(len(polygons)))
     place = _places(vertices)
@@ -148,7 +155,7 @@ def open_lips(
     wanted = SlitOptions(**options)
     upright = Mesh(
         home,
-        _polygons(mesh),
+        polygons_of(mesh),
         texcoords=mesh.texcoords,
         polygon_texcoords=mesh.polygon_texcoords,
         name=mesh.name,
@@ -158,7 +165,7 @@ def open_lips(
     vertices[: len(home)] = mesh.vertices
     opened = Mesh(
         vertices,
-        _polygons(slit.mesh),
+        polygons_of(slit.mesh),
         texcoords=slit.mesh.texcoords,
         polygon_texcoords=slit.mesh.polygon_texcoords,
         name=mesh.name,
@@ -174,7 +181,28 @@ def open_lips(
     return Prepared(opened, prepared.vertex_map, [*prepared.steps, step], look)
 
 
-def _polygons(mesh: Mesh) -> list[Polygon]:
+def save_prepared(path: str | os.PathLike[str], prepared: Prepared) -> None:
+    """Writes a mesh with its look: OBJ and PLY as they are, glTF with materials and textures inside.
+
+    Args:
+        path: .obj, .ply, .glb or .gltf; glTF keeps the numbers of the mesh, whose unit it calls a metre.
+        prepared: what to write.
+
+    Raises:
+        RuntimeError: another extension, or the file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".glb", ".gltf"):
+        save_mesh(path, prepared.mesh, prepared.appearance)
+        return
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / f"{path.stem}.obj"
+        save_mesh(file, prepared.mesh, prepared.appearance)
+        mesh = load_mesh(file)
+        Animation(mesh, torch.zeros(1, len(mesh.vertices), 3)).save(path)
+
+
+def polygons_of(mesh: Mesh) -> list[Polygon]:
     """Its polygons, the triangles where it has no others; lists of their own."""
     return [list(polygon) for polygon in mesh.polygons or np.asarray(mesh.faces).tolist()]
 

@@ -1,0 +1,15 @@
+"""Scans made ready to speak: repaired, lips cut apart, teeth and eyes put in; written with their look."""
+
+from __future__ import annotations
+
+from freetalk.prepare.inner_parts import add_inner_parts
+from freetalk.prepare.repair import FLOATING, Prepared, open_lips, prepare_mesh, save_prepared
+
+__all__ = [
+    "FLOATING",
+    "Prepared",
+    "add_inner_parts",
+    "open_lips",
+    "prepare_mesh",
+    "save_prepared",
+]
