@@ -5,7 +5,7 @@
     scripts/bench/fixed_batch.py stm --data corpus task.num_meshes=1
 
 The batch, its noise and its diffusion steps stay the same, so the loss has to fall; exits with 1 where it does not fall
-to half.
+to half. Of several datasets (--data again) each gives its share of the batch.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import argparse
 import sys
 import tempfile
 import time
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,17 @@ from freetalk.data import open_datasets
 from freetalk.train import load_config
 from freetalk.train.engine import choose_device, moved
 from freetalk.train.run import make_task
+from freetalk.train.sequences import Epochs
 from freetalk.train.weights import parameter_groups
+
+
+def turn_by_turn(epochs: Epochs, count: int) -> list[tuple[str, int]]:
+    """Dataset and number of the first items, the datasets taking turns."""
+    of: dict[str, list[tuple[str, int]]] = {}
+    for number in range(len(epochs)):
+        name = epochs.window(number)[0].dataset
+        of.setdefault(name, []).append((name, number))
+    return [item for turn in zip_longest(*of.values()) for item in turn if item][:count]
 
 
 def main() -> int:
@@ -43,8 +54,11 @@ def main() -> int:
     device = choose_device(config.loop)
     with tempfile.TemporaryDirectory() as out:
         task = make_task(config, open_datasets(given.data), Path(out), device)
-        items = [task.item(np.random.default_rng(i), i) for i in range(given.batch)]
+        numbers = turn_by_turn(task.epochs, given.batch)
+        items = [task.item(np.random.default_rng(number), number) for _, number in numbers]
         batch = moved(task.collate(items), device)
+    size = sum(parameter.numel() for parameter in task.model.parameters())
+    print(f"{given.kind}: {size / 1e6:.1f} M weights, items of {[name for name, _ in numbers]}")
     groups = parameter_groups(task.model, config.loop.weight_decay)
     optimizer = torch.optim.AdamW(groups, lr=config.loop.learning_rate)
     task.model.train()

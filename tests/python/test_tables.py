@@ -31,6 +31,7 @@ from freetalk.tables.sets import FULL_FAMILIES, OPEN_SETS, SMALL_FAMILIES, Catal
 from freetalk.tables.sizes import SIZES, TINY
 from freetalk.tables.table import TableRun, merged
 from freetalk.tables.views import ViewOptions, faces_of, view_of
+from freetalk.train.checkpoint import git_commit
 from freetalk.train.stm_meshes import prepare_mesh
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -219,6 +220,21 @@ def test_intervals_and_p_values_agree() -> None:
     assert 5 < decided < 35  # both kinds were seen
 
 
+def test_a_claim_among_many_asks_for_more() -> None:
+    """A claim whose own p-value is near 0.03 holds alone, and is open where it is one of two such."""
+    rng = np.random.default_rng(3)
+    level, claim = np.ones(30), Claim("", "", ("low",), ("high",))
+    for shift in np.linspace(0.0, 0.1, 51):
+        rows = {"low": seeded(level - shift + rng.normal(0, 0.1, 30)), "high": seeded(level)}
+        (alone,) = judge([claim], rows)
+        if 0.026 < alone.p_value < 0.049:
+            break
+    assert alone.outcome == HELD and alone.high < 0
+    both = judge([claim, claim], rows)
+    assert [one.p_value for one in both] == pytest.approx([2 * alone.p_value] * 2)
+    assert [one.outcome for one in both] == [UNDECIDED] * 2
+
+
 def test_clips_of_one_take_are_one_observation() -> None:
     rng = np.random.default_rng(2)
     takes, own = rng.normal(-0.05, 0.1, 8), 25
@@ -337,6 +353,14 @@ def test_speech_moves_meshes_of_mixed_datasets(corpus: Path, own: Path, tmp_path
     own_row = next(row for row in result["rows"] if row["name"] == "2 + 2")
     assert [one["kind"] for one in own_row["runs"][0]["trainings"]] == ["stm", "ats"]
     assert own_row["paper"]["MEAD-EMOTE"]["lve"] == 13.8
+    # Every number carries where it comes from: commit, data, and options of what was trained.
+    commit, mark = git_commit(), {"MEAD-EMOTE": view.fingerprint}
+    for row in result["rows"]:
+        assert (row["runs"][0]["commit"], row["runs"][0]["fingerprints"]) == (commit, mark)
+    stm = own_row["runs"][0]["trainings"][0]
+    assert stm["commit"] == commit and stm["seed"] == 0 and "loop.seed=0" in stm["overrides"]
+    trained = Catalogue([f"MEAD-EMOTE={own}"], {}).view("MEAD-EMOTE", TINY.stm)
+    assert stm["data_fingerprint"] == trained.fingerprint
 
 
 def test_the_report_says_what_was_run_and_ends_with_the_claims(corpus: Path) -> None:

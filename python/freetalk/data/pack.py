@@ -114,8 +114,8 @@ class Meshing:
         weights, regressor = self._jaw
         turn = factors[:, -_TURN:].reshape(-1, 3, 3)
         corrective = (factors[:, -_TURN:] @ flat[-_TURN:]).reshape(offset.shape)
-        joint = np.einsum("v,tvd->td", regressor, neutral + offset - corrective)[:, None]
-        moved = np.einsum("tij,tvj->tvi", turn, neutral + offset - joint)
+        joint = (regressor @ (neutral + offset - corrective))[:, None]
+        moved = (neutral + offset - joint) @ turn.swapaxes(1, 2)
         return (offset + weights[:, None] * moved).astype(np.float32)
 
 

@@ -304,7 +304,7 @@ class _GrowingArray:
             raise ValueError(
                 f"{self.file.name} has rows of {self._dtype} {self._row_shape}, got {array.dtype} {array.shape[1:]}"
             )
-        self.file.write(np.ascontiguousarray(array).tobytes())
+        self.file.write(np.ascontiguousarray(array).data)
         self.rows += len(array)
 
     def read(self, first: int, count: int) -> Array:

@@ -90,7 +90,7 @@ def read_hdf5(path: Path, names: Iterable[str]) -> list[Array]:
             missing = [name for name in names if name not in file]
             if missing:
                 raise DatasetError(f"{path} lacks {', '.join(missing)}; it has {', '.join(file)}")
-            arrays = {name: np.asarray(file[name]) for name in names}
+            arrays = {name: file[name][()] for name in names}
     except OSError as error:
         raise DatasetError(f"{path} is no readable HDF5 file: {error}") from error
     for name, array in arrays.items():

@@ -17,6 +17,8 @@ from freetalk.evaluate.motion_files import Origin
 #: Trainings of each row that a verdict needs; fewer leave a claim undecided, however clear the clips are.
 MIN_SEEDS = 3
 _DRAWS = 10000
+#: A corrected p-value from here on leaves a claim of order undecided.
+_LEVEL = 0.05
 
 HELD, OPPOSITE, UNDECIDED = "held", "did not hold", "not decided by this budget"
 _Clip = tuple[str, str]
@@ -107,7 +109,8 @@ def judge(
     a row's mean over its runs, as a share of it, pooled over all rows that have several, v = sum 1 /
     (m^2 k) over the m rows of each side with k runs, and t is drawn from Student's distribution with its
     degrees of freedom. A claim of order held where the whole interval is below 0, and its opposite where
-    it is above; with fewer than ``MIN_SEEDS`` trainings of a row, or fewer than two takes, neither did.
+    it is above, the p-value corrected for the table's claims (Holm) being below 0.05; with fewer than
+    ``MIN_SEEDS`` trainings of a row, or fewer than two takes, neither did.
 
     Args:
         claims: of a table.
@@ -123,7 +126,8 @@ def judge(
     ordered = [at for at, verdict in enumerate(found) if verdict.claim.margin == 0]
     corrected = metrics.holm([found[at].p_value for at in ordered])
     for at, p_value in zip(ordered, corrected, strict=True):
-        found[at] = replace(found[at], p_value=p_value)
+        outcome = found[at].outcome if p_value < _LEVEL else UNDECIDED
+        found[at] = replace(found[at], p_value=p_value, outcome=outcome)
     return found
 
 

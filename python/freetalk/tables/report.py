@@ -85,6 +85,7 @@ def make_result(
                     {
                         "trainings": run["trainings"],
                         "commit": run.get("commit"),
+                        "fingerprints": run.get("fingerprints"),
                         "predictions": run.get("predictions"),
                         "means": {g: _means(run, g, table.metrics) for g in groups},
                         "clips": _rounded(run["scores"]),
@@ -230,8 +231,8 @@ def _claims(result: Mapping[str, Any]) -> str:
     footer = (
         "Difference: of the first from the second, relative to the second, paired by clip, with its 95 % "
         "interval. p: that the order is the other, by the same draws as the interval, Holm-corrected over "
-        "the table. A claim held where the whole interval is on its side and each row has at least "
-        f"{MIN_SEEDS} trainings. {seeds}"
+        "the table. A claim held where the whole interval is on its side, p is below 0.05 and each row has "
+        f"at least {MIN_SEEDS} trainings. {seeds}"
     )
     return _grid(header, lines) + "\n\n" + textwrap.fill(footer, 110)
 

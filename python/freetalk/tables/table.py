@@ -133,6 +133,7 @@ class TableRun:
         self.table, self.catalogue, self.work = table, catalogue, work
         self._encoder, self._sampler, self._device = encoder, dict(sampler or {}), device
         self._views = {name: catalogue.view(name, table.view) for name in table.tests}
+        self._fingerprints = {name: view.fingerprint for name, view in self._views.items()}
         for name, view in self._views.items():
             if not faces_of(view, "test"):
                 raise ValueError(f"{name} has no test clip; {catalogue.describe().get(name, name)}")
@@ -195,6 +196,7 @@ class TableRun:
                 values = {metric: found.values[metric][name] for metric in names}
                 scores[test] = ClipScores(values, found.frames, found.origins).to_dict()
             run = {"predictions": str(directory), "trainings": [], "scores": scores}
+            run |= {"commit": git_commit(), "fingerprints": self._fingerprints}
             results.append(merged(name, [run]))
         return results
 
@@ -230,6 +232,7 @@ class TableRun:
             "scores": {name: own.to_dict() for name, own in scores.items()},
             "scoring_minutes": round((time.perf_counter() - began) / 60, 2),
             "commit": git_commit(),
+            "fingerprints": self._fingerprints,
         }
         path = self._path(row)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -273,7 +276,7 @@ class TableRun:
         content = {
             "version": _VERSION,
             "trainings": [t.key(self.catalogue) for t in row.trainings().values()],
-            "tests": {name: view.fingerprint for name, view in self._views.items()},
+            "tests": self._fingerprints,
             "metrics": list(self.table.metrics),
             "sampler": self._sampler if hears else {},
             "encoder": content_hash(encoder_folder(self._encoder)) if hears else "",

@@ -13,6 +13,7 @@ from freetalk._files import content_hash, write_json
 from freetalk.tables.scoring import encoder_folder
 from freetalk.tables.sets import Catalogue
 from freetalk.tables.views import ViewOptions
+from freetalk.train.checkpoint import git_commit
 from freetalk.train.config import load_config
 from freetalk.train.run import train_dataset
 from freetalk.train.task_options import DenoisingTaskOptions
@@ -99,6 +100,8 @@ def train(training: Training, catalogue: Catalogue, work: Path) -> Trained:
         "parameters": result.parameters,
         "validation": result.scores,
         "data": corpus.describe(),
+        "data_fingerprint": corpus.fingerprint,
+        "commit": git_commit(),
     }
     write_json(done, record)
     return Trained(result.directory, key, record)
