@@ -15,6 +15,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -190,147 +191,76 @@ def region_masks(model: FaceModel) -> tuple[FloatArray, FloatArray]:
     return lip.astype(np.float64), upper.astype(np.float64)
 
 
-def _narrow(model: FaceModel) -> Meshing:
-    return crop(model, "narrow")
+def _decimated(
+    name: str, split: str, what: str, extent: str, count: int, other: bool = False
+) -> TopologySpec:
+    text = f"{what}, decimated to about {count:,} vertices"
+    return TopologySpec(name, split, text, lambda m: decimate(m, crop(m, extent, other), count))
 
 
+def _remeshed(name: str, split: str, extent: str, count: int, other: bool = False) -> TopologySpec:
+    text = f"{_WHAT[extent]}, isotropic remeshing, about {count:,} vertices"
+    return TopologySpec(name, split, text, lambda m: remesh(m, crop(m, extent, other), count))
+
+
+def _damaged(
+    name: str, split: str, text: str, extent: str, count: int, *how: Any, other: bool = False
+) -> TopologySpec:
+    text = f"{_WHAT[extent]}, about {count:,} vertices{text}"
+    return TopologySpec(
+        name, split, text, lambda m: damage(m, decimate(m, crop(m, extent, other), count), *how)
+    )
+
+
+_NECK, _SOCKETS = "face, head and neck", "head with sockets"
+_WHAT = {"face": "face", "narrow": "narrow face", "head": _NECK, "sockets": _SOCKETS}
+_OTHER = "split along the other diagonal"
+_TORN = ", holes, tears and 0.{} mm noise"
 TOPOLOGIES: tuple[TopologySpec, ...] = (
-    TopologySpec(
-        "face_dec2500",
-        "train",
-        "face, decimated to about 2,500 vertices",
-        lambda m: decimate(m, crop(m, "face"), 2500),
-    ),
-    TopologySpec(
-        "narrow_dec1500",
-        "train",
-        "narrow face, decimated to about 1,500 vertices",
-        lambda m: decimate(m, _narrow(m), 1500),
-    ),
-    TopologySpec(
-        "head_dec2000",
-        "train",
-        "face, head and neck, decimated to about 2,000 vertices",
-        lambda m: decimate(m, crop(m, "head"), 2000),
-    ),
-    TopologySpec(
-        "sockets_dec3000",
-        "train",
-        "head with mouth and eye sockets, decimated to about 3,000 vertices",
-        lambda m: decimate(m, crop(m, "sockets"), 3000),
-    ),
-    TopologySpec(
-        "face_dec1200",
-        "train",
-        "face split along the other diagonal, decimated to about 1,200 vertices",
-        lambda m: decimate(m, crop(m, "face", True), 1200),
-    ),
-    TopologySpec(
-        "narrow_iso2000",
-        "train",
-        "narrow face, isotropic remeshing, about 2,000 vertices",
-        lambda m: remesh(m, _narrow(m), 2000),
-    ),
-    TopologySpec(
-        "head_iso3000",
-        "train",
-        "face, head and neck, isotropic remeshing, about 3,000 vertices",
-        lambda m: remesh(m, crop(m, "head"), 3000),
-    ),
+    _decimated("face_dec2500", "train", "face", "face", 2500),
+    _decimated("narrow_dec1500", "train", "narrow face", "narrow", 1500),
+    _decimated("head_dec2000", "train", _NECK, "head", 2000),
+    _decimated("sockets_dec3000", "train", "head with mouth and eye sockets", "sockets", 3000),
+    _decimated("face_dec1200", "train", f"face {_OTHER}", "face", 1200, True),
+    _remeshed("narrow_iso2000", "train", "narrow", 2000),
+    _remeshed("head_iso3000", "train", "head", 3000),
     TopologySpec(
         "face_sub3500",
         "train",
         "face decimated to about 900 vertices, each triangle split in four",
         lambda m: subdivide(decimate(m, crop(m, "face"), 900)),
     ),
-    TopologySpec(
-        "narrow_torn2500",
-        "train",
-        "narrow face, about 2,500 vertices, holes, tears and 0.2 mm noise",
-        lambda m: damage(m, decimate(m, _narrow(m), 2500), 6, 0.012, 2e-4, 40, 11),
+    _damaged("narrow_torn2500", "train", _TORN.format(2), "narrow", 2500, 6, 0.012, 2e-4, 40, 11),
+    _decimated("narrow_dec900", "train", "narrow face", "narrow", 900),
+    _decimated("face_dec900", "train", "face", "face", 900),
+    _decimated("head_dec1000", "train", f"{_NECK} {_OTHER}", "head", 1000, True),
+    _decimated("sockets_dec1500", "train", _SOCKETS, "sockets", 1500),
+    _remeshed("face_iso1000", "train", "face", 1000, True),
+    _damaged("narrow_torn1000", "train", _TORN.format(2), "narrow", 1000, 5, 0.012, 2e-4, 20, 13),
+    _damaged("head_torn1800", "train", _TORN.format(3), "head", 1800, 8, 0.012, 3e-4, 30, 17),
+    _damaged(
+        *("sockets_torn1700", "train", ", many small holes and tears", "sockets", 1700),
+        *(14, 0.006, 0.0, 40, 19),
+        other=True,
     ),
     TopologySpec(
-        "narrow_dec900",
-        "train",
-        "narrow face, decimated to about 900 vertices",
-        lambda m: decimate(m, _narrow(m), 900),
+        *("narrow", "train", "narrow face, original vertices, quads split 0-2"),
+        lambda m: crop(m, "narrow"),
     ),
+    _decimated("sockets_dec5000", "val", _SOCKETS, "sockets", 5000, True),
+    _remeshed("face_iso2500", "val", "face", 2500),
     TopologySpec(
-        "face_dec900",
-        "train",
-        "face, decimated to about 900 vertices",
-        lambda m: decimate(m, crop(m, "face"), 900),
-    ),
-    TopologySpec(
-        "head_dec1000",
-        "train",
-        "face, head and neck split along the other diagonal, decimated to about 1,000 vertices",
-        lambda m: decimate(m, crop(m, "head", True), 1000),
-    ),
-    TopologySpec(
-        "sockets_dec1500",
-        "train",
-        "head with sockets, decimated to about 1,500 vertices",
-        lambda m: decimate(m, crop(m, "sockets"), 1500),
-    ),
-    TopologySpec(
-        "face_iso1000",
-        "train",
-        "face, isotropic remeshing, about 1,000 vertices",
-        lambda m: remesh(m, crop(m, "face", True), 1000),
-    ),
-    TopologySpec(
-        "narrow_torn1000",
-        "train",
-        "narrow face, about 1,000 vertices, holes, tears and 0.2 mm noise",
-        lambda m: damage(m, decimate(m, _narrow(m), 1000), 5, 0.012, 2e-4, 20, 13),
-    ),
-    TopologySpec(
-        "head_torn1800",
-        "train",
-        "face, head and neck, about 1,800 vertices, holes, tears and 0.3 mm noise",
-        lambda m: damage(m, decimate(m, crop(m, "head"), 1800), 8, 0.012, 3e-4, 30, 17),
-    ),
-    TopologySpec(
-        "sockets_torn1700",
-        "train",
-        "head with sockets, about 1,700 vertices, many small holes and tears",
-        lambda m: damage(m, decimate(m, crop(m, "sockets", True), 1700), 14, 0.006, 0.0, 40, 19),
-    ),
-    TopologySpec("narrow", "train", "narrow face, original vertices, quads split 0-2", _narrow),
-    TopologySpec(
-        "sockets_dec5000",
-        "val",
-        "head with sockets, decimated to about 5,000 vertices",
-        lambda m: decimate(m, crop(m, "sockets", True), 5000),
-    ),
-    TopologySpec(
-        "face_iso2500",
-        "val",
-        "face, isotropic remeshing, about 2,500 vertices",
-        lambda m: remesh(m, crop(m, "face"), 2500),
-    ),
-    TopologySpec(
-        "face",
-        "test",
-        "face, original 9,409 vertices, quads split 1-3",
+        *("face", "test", "face, original 9,409 vertices, quads split 1-3"),
         lambda m: crop(m, "face", True),
     ),
-    TopologySpec(
-        "face_iso5000",
-        "test",
-        "face, isotropic remeshing, about 5,000 vertices",
-        lambda m: remesh(m, crop(m, "face", True), 5000),
+    _remeshed("face_iso5000", "test", "face", 5000, True),
+    _damaged(
+        *("head_holes4000", "test", " with holes and 0.3 mm noise", "head", 4000),
+        *(10, 0.012, 3e-4, 60, 23),
+        other=True,
     ),
     TopologySpec(
-        "head_holes4000",
-        "test",
-        "face, head and neck, about 4,000 vertices with holes and 0.3 mm noise",
-        lambda m: damage(m, decimate(m, crop(m, "head", True), 4000), 10, 0.012, 3e-4, 60, 23),
-    ),
-    TopologySpec(
-        "sockets",
-        "test",
+        *("sockets", "test"),
         "head with sockets, original 14,062 vertices, quads split along the shorter diagonal",
         lambda m: short_diagonals(m, "sockets"),
     ),
