@@ -8,25 +8,38 @@ from pathlib import Path
 
 import pytest
 
-#: Files whose tests train networks, build corpora, install the package, render or type-check everything. The rest is
+#: Files whose tests train networks, build corpora, install the package, render or open a browser. The rest is
 #: the quick subset, ``pytest -m "not slow"``; single slow tests elsewhere carry the mark themselves.
 SLOW_FILES = {
-    *(
-        "test_corpus",
-        "test_corpus_codes",
-        "test_corpus_topologies",
-        "test_data_training",
-        "test_demo",
-    ),
-    *("test_evaluate", "test_install", "test_nasty_meshes", "test_package", "test_pretrained"),
-    *("test_stubs", "test_tables", "test_train", "test_train_checkpoint", "test_train_cuts"),
-    *(
-        "test_train_diffusion_steps",
-        "test_train_features",
-        "test_train_initial",
-        "test_train_mosaic",
-    ),
-    *("test_train_previews", "test_train_processes", "test_train_recordings", "test_viseme_probe"),
+    "test_corpus",
+    "test_corpus_codes",
+    "test_corpus_topologies",
+    "test_data_training",
+    "test_demo",
+    "test_devices",
+    "test_evaluate",
+    "test_faces",
+    "test_head",
+    "test_head_fit",
+    "test_install",
+    "test_nasty_meshes",
+    "test_package",
+    "test_page_browser",
+    "test_pretrained",
+    "test_serve_browser",
+    "test_stubs",
+    "test_tables",
+    "test_train",
+    "test_train_checkpoint",
+    "test_train_cuts",
+    "test_train_diffusion_steps",
+    "test_train_features",
+    "test_train_initial",
+    "test_train_mosaic",
+    "test_train_previews",
+    "test_train_processes",
+    "test_train_recordings",
+    "test_viseme_probe",
     "test_viz",
 }
 

@@ -212,6 +212,7 @@ def test_proposed_landmarks_are_within_millimetres(
         fit_face(vertices + 0.5, faces, known)
 
 
+@pytest.mark.slow
 def test_the_command_writes_landmarks_that_a_dataset_reads(
     stranger: tuple[np.ndarray, np.ndarray, np.ndarray],
     tmp_path: Path,

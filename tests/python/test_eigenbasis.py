@@ -121,6 +121,7 @@ def _use_cache(folder: str, ready: str, max_bytes: int) -> list[list[float]]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kept", [1.5, 100.0])
 def test_cache_is_safe_with_two_processes(tmp_path: Path, kept: float) -> None:
     meshes = [bumpy_grid(12, seed) for seed in range(6)]

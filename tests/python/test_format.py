@@ -49,5 +49,6 @@ def test_python_is_linted() -> None:
     run("ruff", "check", *PYTHON)
 
 
+@pytest.mark.slow
 def test_python_is_typed() -> None:
     run("mypy", "--config-file", "pyproject.toml")

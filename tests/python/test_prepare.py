@@ -71,6 +71,7 @@ def test_options_out_of_range_and_an_empty_result_are_errors() -> None:
         prepare_mesh(freetalk.Mesh(vertices[:3], [[0, 1, 1]]))
 
 
+@pytest.mark.slow
 def test_the_command_keeps_texture_coordinates(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

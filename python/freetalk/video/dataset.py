@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from freetalk import metrics
 from freetalk._files import replacing, write_json, write_text
 from freetalk.audio import load_audio, save_wav
 from freetalk.corpus.assets import load_face_model
@@ -68,8 +69,8 @@ def report_of(talker: FittedTalker, clips: Sequence[FittedClip]) -> TalkerReport
         clips=len(clips),
         frames=len(moved),
         error_px=float(np.median(np.concatenate([c.error_px for c in clips]))),
-        opening_correlation=_correlation(opening, gap),
-        width_correlation=_correlation(moved[:, 54, 0] - moved[:, 48, 0], width),
+        opening_correlation=float(metrics.correlation(opening, gap)),
+        width_correlation=float(metrics.correlation(moved[:, 54, 0] - moved[:, 48, 0], width)),
         closed=float((opening[closed] <= CLOSED_M).mean()) if closed.any() else 1.0,
         closed_gap_mm=1000 * talker.closed_gap_m,
         lip_jerk=float(np.concatenate(jerk).mean()) if jerk else 0.0,
@@ -189,9 +190,3 @@ def _split(asked: str, talker: FittedTalker, clip: FittedClip, talkers: int) -> 
     if place < _SHARES["test"]:
         return "test"
     return "val" if place < _SHARES["test"] + _SHARES["val"] else "train"
-
-
-def _correlation(a: np.ndarray, b: np.ndarray) -> float:
-    if a.std() == 0 or b.std() == 0:
-        return 0.0
-    return float(np.corrcoef(a, b)[0, 1])
