@@ -113,3 +113,27 @@ def test_stronger_emotion_moves_the_upper_face_more(talker: Talker) -> None:
         amounts[level] = float(motion[:, 17:48].norm(dim=-1).mean())
     assert amounts[3.0] > 1.2 * amounts[1.0]
     assert talker.emotions == list(ats.options.emotions)
+
+
+def test_facetalks_lips_follow_the_loudness_and_do_not_jitter(
+    talker: Talker, speech: ft.Audio, face: ft.Mesh
+) -> None:
+    spoken = talker.animate(speech, face, motion="facetalk", seed=1, progress=False)
+    motion = np.asarray(spoken.displacements)
+    opening = lip_opening(motion[:, load_face_model().landmarks68])
+    energy = log_energy(np.asarray(speech.samples), len(opening), 30.0, 16000)
+    assert correlation(opening, energy) > 0.4  # 0 for lips that ignore the sound
+    assert 0.003 < np.linalg.norm(motion, axis=-1).max() < 0.04  # metres, as above
+    assert np.linalg.norm(np.diff(motion, axis=0), axis=-1).max() < 0.015
+
+
+def test_facetalk_moves_the_parametric_head(talker: Talker, speech: ft.Audio) -> None:
+    head = talker.prepare_head(talker.sample_identity(7), progress=False)
+    second = ft.Audio(np.asarray(speech.samples)[:16000], 16000)
+    spoken = head.animate(second, motion="facetalk", seed=1, progress=False)
+    motion = np.linalg.norm(np.asarray(spoken.displacements), axis=-1)
+    assert motion.shape[0] == 30 and 0.002 < motion.max() < 0.05
+    away = np.asarray(head.mesh.vertices)[:, 2] < np.quantile(
+        np.asarray(head.mesh.vertices)[:, 2], 0.2
+    )
+    assert motion[:, away].max() < 0.3 * motion.max()  # the back of the head hardly moves

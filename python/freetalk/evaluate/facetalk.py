@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -38,6 +39,28 @@ class SpeechToCodes:
         self._encoder: SpeechEncoder | None = None
         if self.model.options.condition == "audio":
             self._encoder = SpeechEncoder.from_pretrained(encoder).to(self.device).eval()
+
+    @classmethod
+    def of(
+        cls,
+        directory: str | Path,
+        sampling: Mapping[str, object] | None = None,
+        device: torch.device | str | None = None,
+    ) -> SpeechToCodes:
+        """Of a folder with ``speech`` and ``facetalk``, sampled as a talker does.
+
+        Args:
+            directory: the folder; its ``talker.json`` says at which temperature.
+            sampling: fields of ``facetalk.GenerateOptions`` that win over a talker's.
+            device: see :func:`device_of`.
+        """
+        path = Path(directory)
+        usual: dict[str, object] = {"sampler": "dpmpp", "num_steps": 20}
+        about = path / "talker.json"
+        if about.is_file():
+            own = json.loads(about.read_text()).get("generate", {})
+            usual["temperature"] = own.get("mouth_temperature", 1.0)
+        return cls(path / "speech", path / "facetalk", {**usual, **(sampling or {})}, device)
 
     def heard(self, dataset: Dataset, clip: MotionSequence) -> torch.Tensor:
         """Speech features or landmarks at the model's frames, (T, C), on the device."""

@@ -300,8 +300,8 @@ def measure(
         if "emotions" in parts:
             scores["emotions"] = evaluate_emotions(dataset, model)
     if "facetalk" in parts:
-        chosen = {"sampler": "dpmpp", "num_steps": 20} if steps is None else {"num_steps": steps}
-        speaker = SpeechToCodes(pretrained / "speech", pretrained / "facetalk", chosen, device)
+        chosen = {} if steps is None else {"sampler": "ddim", "num_steps": steps}
+        speaker = SpeechToCodes.of(pretrained, chosen, device)
         scores["facetalk opening"] = evaluate_opening(dataset, speaker, take, samples)
         scores["facetalk closures"] = evaluate_closures(dataset, speaker)
     return {name: found for name, found in scores.items() if found is not None}
