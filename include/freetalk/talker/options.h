@@ -67,7 +67,7 @@ struct AnimateOptions {
   double fps = 30.0;                        // frames per second of the animation, 0 < fps <= 240
   int64_t seed = 0;                         // other seeds give other motion for the same speech
   std::optional<std::string> sampler;       // "ddim", "ddpm", "renoise", "dpmpp"
-  std::optional<int64_t> num_steps;         // denoising steps; 20 where "dpmpp" is asked for
+  std::optional<int64_t> num_steps;         // denoising steps; 20 of another "dpmpp", 50 else
   std::optional<double> eta;                // DDIM noise in [0, 1]
   std::optional<double> audio_guidance;     // see ats::GenerateOptions
   std::optional<double> affect_guidance;    // see ats::GenerateOptions

@@ -35,9 +35,9 @@ def add_diffusion(parser: argparse.ArgumentParser) -> None:
     """Adds how motion is sampled from speech; what is not given is as the weights say."""
     absent = argparse.SUPPRESS
     samplers = ("ddim", "ddpm", "renoise", "dpmpp")
-    sampler_help = "dpmpp (DPM-Solver++) needs 10 to 20 steps; by default that of the weights"
+    sampler_help = "by default that of the weights: dpmpp (DPM-Solver++) of the shipped ones"
     parser.add_argument("--sampler", choices=samplers, default=absent, help=sampler_help)
-    steps_help = "denoising steps; fewer are faster; by default those of the weights, 20 of dpmpp"
+    steps_help = "denoising steps; fewer are faster; by default those of the weights, of another sampler 20 (dpmpp) or 50"
     parser.add_argument("--steps", type=natural, default=absent, metavar="N", help=steps_help)
     guidance_help = (
         "how much more than usual the face follows speech and emotion: a weight for both, or "
