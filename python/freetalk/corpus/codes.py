@@ -79,7 +79,7 @@ def make_codes(
     rest = head.state_dict()["rest_expression"]
     codes = np.tile(rest.numpy(), (pack.landmarks.shape[0], 1))
     z_id = head.identity_code(torch.zeros((1, head.options.num_coefficients)))[0].detach()
-    seen = _outer_face(rig)
+    seen = outer_face(rig)
     rig_mm: list[FloatArray] = []
     fitted_mm: list[FloatArray] = []
     takes = {sequence.start_frame: sequence for sequence in corpus.sequences()}
@@ -97,7 +97,7 @@ def make_codes(
                         )
                         for row in weights[part]
                     ]
-                    rig_mm.append(_distances(head, z_id, own[part], points))
+                    rig_mm.append(distances_mm(head, z_id, own[part], points))
                     found = fit_expressions(head, z_id, points, prior=own[part], options=options)
                     fitted_mm.append(found.error_mm.numpy())
                     own[part] = found.z_exp
@@ -123,7 +123,7 @@ def _weights(
     return weights
 
 
-def _outer_face(rig: HeadModel) -> np.ndarray:
+def outer_face(rig: HeadModel) -> np.ndarray:
     """Vertices of the face that are seen from outside while the mouth is open."""
     open_mouth = PosedHead(rig, np.zeros(len(rig.identity_basis)), rig.canonical_weights)
     outer = np.unique(open_mouth.faces[open_mouth.is_outer()])
@@ -132,7 +132,7 @@ def _outer_face(rig: HeadModel) -> np.ndarray:
     return vertices
 
 
-def _distances(
+def distances_mm(
     head: ParametricHead, z_id: torch.Tensor, codes: torch.Tensor, points: list[np.ndarray]
 ) -> FloatArray:
     """(T,) mean distance of each frame's points from the surface of its code, mm."""
