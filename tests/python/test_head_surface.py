@@ -59,6 +59,7 @@ def test_surfaces_are_those_of_the_dense_grid(trained: ParametricHead) -> None:
     assert sparse.num_evaluations < 0.35 * 65**3
 
 
+@pytest.mark.slow
 def test_two_hundred_codes_give_closed_surfaces(trained: ParametricHead) -> None:
     z_id, _ = codes(trained, 1)
     head = PreparedHead(trained, z_id)

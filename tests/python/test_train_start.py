@@ -67,6 +67,13 @@ def test_an_empty_validation_split_is_told_first(kind: str, corpus: Path, tmp_pa
         run(kind, CONFIGS / f"{kind}_smoke.yaml", QUICK, corpus, tmp_path / "out")
 
 
+@pytest.mark.usefixtures("no_steps")
+def test_a_face_with_too_few_vertices_is_told_first(corpus: Path, tmp_path: Path) -> None:
+    """The train split's meshings have 81 and 144 vertices."""
+    with pytest.raises(ValueError, match=r"k_eig <= 81"):
+        run("stm", STM, [*QUICK, "model.k_eig=100"], corpus, tmp_path / "out")
+
+
 # After an error
 
 

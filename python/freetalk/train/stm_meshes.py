@@ -142,7 +142,7 @@ def prepare_mesh(
     operators: Any = surface_operators(
         mesh.vertices.astype(np.float64) / length_scale,
         mesh.faces,
-        k=min(k_eig, len(mesh.vertices)),
+        k=k_eig,
         name=mesh.name,
         **own,
     )
