@@ -51,7 +51,7 @@ def main() -> None:
     out = parser.parse_args().out
     out.mkdir(parents=True, exist_ok=True)
     talker = ft.Talker.from_pretrained("open-small")
-    vertices, faces = mean_face("face")
+    vertices, faces = mean_face("full")
     mesh = ft.Mesh(vertices, faces.tolist(), name="face")
     whole = ft.load_audio(assets.speech_clip())
     clip = ft.Audio(whole.samples[: int(SECONDS * whole.sample_rate_hz)], whole.sample_rate_hz)

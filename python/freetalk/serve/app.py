@@ -22,6 +22,7 @@ from freetalk.faces import MARKS
 from freetalk.page import render_studio
 from freetalk.page.viewing import PAGE_HEADERS
 from freetalk.serve import live
+from freetalk.serve.jobs import give_memory_back
 from freetalk.serve.studio import FORMATS, Studio, performance_options
 from freetalk.serve.uploads import MESH_SUFFIXES, Refused
 
@@ -214,6 +215,7 @@ class _Server:
             await _close(socket, 1001, "nothing was heard for long")
         finally:
             self._streams -= 1
+            await run_sync(give_memory_back)
 
     async def _stream(self, socket: WebSocket) -> None:
         options = performance_options(_object((await socket.receive_text()).encode()))
