@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Live speech against the offline result: how fast, how late, how close, how smooth.
 
-    python scripts/bench/live.py [--seconds 12] [--threads 2] [--emotion happy] [--hop 0.14] [--vertices]
+    python scripts/bench/live.py [--seconds 12] [--threads 2] [--emotion happy] [--hop 0.12] [--vertices]
     python scripts/bench/live.py --memory 10   # minutes of one stream: resident memory after one and all
 
 Clips are the recordings that ship (English, Mandarin, seven German speakers). Offline is the motion that the
@@ -165,7 +165,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=12, help="of each clip")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--emotion", default="neutral")
-    parser.add_argument("--hop", type=float, default=0.14)
+    parser.add_argument("--hop", type=float, default=0.12)
     parser.add_argument("--steps", type=int, default=4)
     parser.add_argument("--sampler", choices=("dpmpp", "ddim"), default="dpmpp")
     parser.add_argument("--vertices", action="store_true", help="also decode every frame")

@@ -19,11 +19,11 @@ struct LiveOptions {
   std::optional<double> intensity;  // see AnimateOptions
   double emotion_ramp_s = 0.5;      // over which set_emotion() changes the face
   int64_t seed = 0;
-  // The delay is the sum of these two, half of fade_s, and redo_frames of motion: 0.46 s.
-  double hop_s = 0.14;       // speech between two windows, in steps of 0.02 s; each costs a window
-  double lookahead_s = 0.2;  // speech heard beyond what is shown; less: follows it less well
-  double fade_s = 0.04;      // between neighbouring pieces of speech
-  double context_s = 4.0;    // speech heard before; bounds what a hop costs
+  // The delay is the sum of these two, half of fade_s, and redo_frames of motion: 0.42 s.
+  double hop_s = 0.12;        // speech between two windows, in steps of 0.02 s; each costs a window
+  double lookahead_s = 0.18;  // speech heard beyond what is shown; less: follows it less well
+  double fade_s = 0.04;       // between neighbouring pieces of speech
+  double context_s = 4.0;     // speech heard before; bounds what a hop costs
   int64_t window_frames = 60;     // see ats::MotionStreamOptions
   int64_t redo_frames = 3;        // see ats::MotionStreamOptions
   std::string sampler = "dpmpp";  // "dpmpp" or "ddim"

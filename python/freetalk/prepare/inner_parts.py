@@ -12,7 +12,7 @@ from freetalk.corpus.assets import load_face_model
 from freetalk.geometry import Similarity
 from freetalk.mesh import Mesh
 from freetalk.prepare.repair import Prepared, polygons_of
-from freetalk.viz.appearance import IRIS, IVORY, MOUTH_INSIDE, PUPIL
+from freetalk.viz.appearance import GUMS, IRIS, IVORY, MOUTH_INSIDE, PUPIL
 from freetalk.viz.cavities import Eye, find_cavities
 
 Points = NDArray[np.float64]
@@ -25,10 +25,9 @@ _INNER_LIPS, _CORNERS = slice(60, 68), (48, 54)
 _BEHIND_M, _RECEDE_M, _SHRINK, _ROUNDS = 0.002, 0.012, 0.95, 8
 #: The skin before a point is that within this (m) of it as seen from the front, of the skin around the lips.
 _BESIDE_M, _AROUND_M, _SAMPLES = 0.002, 0.05, 30_000
-_GUM = (0.62, 0.29, 0.29)
 _MATERIALS = {
     "teeth": IVORY,
-    "gums": _GUM,
+    "gums": GUMS,
     "mouth": MOUTH_INSIDE,
     "eye": IVORY,
     "iris": IRIS,

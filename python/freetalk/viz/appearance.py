@@ -11,9 +11,14 @@ SKIN = (0.86, 0.67, 0.56)
 MOUTH_INSIDE = (0.36, 0.14, 0.13)
 MOUTH_DARK = (0.13, 0.045, 0.045)
 IVORY = (0.90, 0.88, 0.83)
+GUMS = (0.62, 0.29, 0.29)
 IRIS = (0.25, 0.36, 0.42)
 PUPIL = (0.03, 0.03, 0.03)
 
+# Where a part lies that is behind the lips, around the face's mean landmark, m: (low, high). Gums with a tongue are
+# larger than this (m) in every direction, teeth are not.
+_MOUTH_BOX = np.array([[-0.055, -0.09, -0.11], [0.055, 0.015, 0.03]])
+_GUMS_M = 0.03
 # Half angles of pupil and iris, seen from the centre of the eyeball.
 _PUPIL_ANGLE = np.deg2rad(11.0)
 _IRIS_ANGLE = np.deg2rad(28.0)
@@ -91,7 +96,7 @@ def part_labels(faces: NDArray[np.int64], num_vertices: int) -> NDArray[np.int64
 
 
 def vertex_colors(vertices: NDArray[np.float32], faces: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Skin for the largest part, ivory for the others, an iris on those that are eyeballs.
+    """Skin for the largest part, gums for what is behind its lips, ivory for the others, an iris on those that are eyeballs.
 
     Args:
         vertices: (V, 3) resting points, upright (+Z out of the face).
@@ -103,6 +108,12 @@ def vertex_colors(vertices: NDArray[np.float32], faces: NDArray[np.int64]) -> ND
     labels = part_labels(faces, len(vertices))
     colors = np.tile(np.asarray(IVORY), (len(vertices), 1))
     colors[labels == 0] = SKIN
+    for label in range(1, labels.max(initial=0) + 1):
+        part = labels == label
+        low, high = vertices[part].min(axis=0), vertices[part].max(axis=0)
+        inside = (low > _MOUTH_BOX[0]).all() and (high < _MOUTH_BOX[1]).all()
+        if inside and (high - low).min() > _GUMS_M:
+            colors[part] = GUMS
     balls, _ = _eyeballs(vertices, labels)
     for ball in balls:
         offsets = vertices[ball.chosen] - ball.center

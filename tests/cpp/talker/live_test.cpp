@@ -90,7 +90,7 @@ TEST_F(LiveTest, FramesCarryWeightsOfTheFacesRigWhereTheWeightsHoldPoses) {
 
 TEST_F(LiveTest, AFrameComesWithinTheLatency) {
   Live live = face().live({});
-  EXPECT_NEAR(live.latency_s(), 0.46, 1e-9);
+  EXPECT_NEAR(live.latency_s(), 0.42, 1e-9);
   const auto samples = hum(2.5).samples;
   constexpr size_t kStep = 160;
   int64_t next = 0;
