@@ -199,7 +199,7 @@ class Attacker:
 
     def run(self, count: int) -> None:
         """Does so many cases."""
-        kinds = (self.request, self.upload, self.upload, self.wish, self.stream)
+        kinds = (self.request, self.upload, self.upload, self.wish, self.mark, self.stream)
         for _ in range(count):
             kind = self.draw.choice(kinds)
             try:
@@ -226,6 +226,10 @@ class Attacker:
                 ("GET", "takes/abc", b""),
                 ("POST", "takes/abc/exports", b'{"format": "glb"}'),
                 ("DELETE", "jobs/abc", b""),
+                ("DELETE", "meshes/abc", b""),
+                ("DELETE", "sounds/abc", b""),
+                ("GET", f"meshes/{self.mesh}", b""),
+                ("POST", f"meshes/{self.mesh}/marks", b'{"marks": [[0, 0, 0], [1, 0, 0]]}'),
                 ("GET", "exports/abc", b""),
                 ("GET", "live?mesh=abc", b""),
             )
@@ -268,6 +272,16 @@ class Attacker:
         if self.draw.random() < 0.3:
             body = damaged(body, self.draw)
         return str(self.server.ask("POST", "takes?client=fuzz", body)[0])
+
+    def mark(self) -> str:
+        """Places of a face that lie anywhere, or are no places."""
+        marks: Any = [[self.draw.gauss(0, 0.1) for _ in range(3)] for _ in range(8)]
+        if self.draw.random() < 0.5:
+            marks[self.draw.randrange(8)] = self.draw.choice(VALUES)
+        body = json.dumps({"marks": marks}).encode()
+        if self.draw.random() < 0.3:
+            body = damaged(body, self.draw)
+        return str(self.server.ask("POST", f"meshes/{self.mesh}/marks?client=fuzz", body)[0])
 
     def stream(self) -> str:
         """A stream that begins well and then breaks the rules."""
