@@ -11,6 +11,7 @@
 #include "freetalk/mesh/mesh.h"
 #include "freetalk/mesh/normals.h"
 #include "freetalk/mesh/report.h"
+#include "freetalk/mesh/vertex_budget.h"
 
 namespace {
 
@@ -169,27 +170,37 @@ void bind_holes(py::module_& m) {
       "(V + H, 3) vertices, (F', 3) faces and the number of edges that stay open.");
 }
 
-void bind_slit(py::module_& m) {
+void bind_surgery(py::module_& m) {
   using mesh::LipSlit;
   freetalk::bindings::bind_options<mesh::SlitOptions>(m, "SlitOptions", "How cut_lips cuts.");
-  py::class_<LipSlit>(m, "LipSlit", "A mesh whose lips were cut apart.")
-      .def_readonly("mesh", &LipSlit::mesh, "The given vertices in their order, then new ones.")
-      .def_readonly("polygon_origin", &LipSlit::polygon_origin,
+  using mesh::Reshaped;
+  py::class_<Reshaped>(m, "Reshaped", "A mesh made of another one.")
+      .def_readonly("mesh", &Reshaped::mesh, "Old vertices in their order, then new ones.")
+      .def_readonly("polygon_origin", &Reshaped::polygon_origin,
                     "(P',) the given polygon whose look each has.")
       .def_property_readonly(
           "vertex_origin",
-          [](const LipSlit& slit) {
+          [](const Reshaped& made) {
             std::vector<std::tuple<int, int, double>> rows;
-            for (const auto& [a, b, share] : slit.added) rows.emplace_back(a, b, share);
+            for (const auto& [a, b, share] : made.added) rows.emplace_back(a, b, share);
             return rows;
           },
-          "Of each new vertex (a, b, share): it looks like (1 - share) a + share b, earlier ones.")
+          "Of each new vertex (a, b, share): it looks like (1 - share) a + share b, those given "
+          "and "
+          "earlier ones.");
+  py::class_<LipSlit, Reshaped>(m, "LipSlit", "A mesh whose lips were cut apart.")
       .def_readonly("edges", &LipSlit::edges, "Of the slit.");
   m.def("lips_are_joined", &mesh::lips_are_joined, py::arg("vertices"), py::arg("faces"),
         py::arg("landmarks"), NoGil(), "Whether upper and lower lip are one skin.");
   m.def("cut_lips", &mesh::cut_lips, py::arg("mesh"), py::arg("landmarks"), py::kw_only(),
         py::arg("options") = mesh::SlitOptions{}, NoGil(),
         "Cuts a slit between lips that are one skin and sews a pocket behind it.");
+  py::class_<mesh::Budgeted, Reshaped>(m, "Budgeted", "A mesh of about as many vertices as wanted.")
+      .def_readonly("vertex_map", &mesh::Budgeted::vertex_map,
+                    "(V,) the new vertex of each old one, -1 where it is gone.");
+  m.def("to_vertex_budget", &mesh::to_vertex_budget, py::arg("mesh"), py::arg("vertices"),
+        py::arg("importance") = Eigen::VectorXd(), NoGil(),
+        "Thins a mesh out or halves its edges until it has about as many vertices.");
 }
 
 }  // namespace
@@ -199,5 +210,5 @@ void bind_mesh(py::module_& m) {
   bind_mesh_report(m);
   bind_normals(m);
   bind_holes(m);
-  bind_slit(m);
+  bind_surgery(m);
 }

@@ -20,12 +20,16 @@ MeshReport = _native.MeshReport
 Appearance = _native.Appearance
 SlitOptions = _native.SlitOptions
 LipSlit = _native.LipSlit
+Reshaped = _native.Reshaped
+Budgeted = _native.Budgeted
 
 __all__ = [
     "Appearance",
+    "Budgeted",
     "LipSlit",
     "Mesh",
     "MeshReport",
+    "Reshaped",
     "SlitOptions",
     "boundary_loops",
     "close_holes",
@@ -37,6 +41,7 @@ __all__ = [
     "load_mesh",
     "mesh_report",
     "save_mesh",
+    "to_vertex_budget",
     "vertex_normals",
 ]
 
@@ -120,6 +125,26 @@ def cut_lips(
         RuntimeError: the surface at the lips cannot be cut.
     """
     return _native.cut_lips(mesh, as_array(landmarks, np.float64), options=options or SlitOptions())
+
+
+def to_vertex_budget(
+    mesh: Mesh, vertices: int, importance: ArrayLike | torch.Tensor = ()
+) -> Budgeted:
+    """Thins a mesh out by quadric error, or halves its longest edges, which changes no surface.
+
+    What is changed comes out in triangles; texture coordinates follow. Rims, seams of textures and polygons where the
+    surface branches are not thinned out, so that more vertices may be left than wanted.
+
+    Args:
+        mesh: any polygons.
+        vertices: how many are wanted.
+        importance: (V,) > 0: edges that are worth as many times as much are as many times shorter; empty for the same
+            everywhere.
+
+    Raises:
+        ValueError: arguments of another form.
+    """
+    return _native.to_vertex_budget(mesh, vertices, as_array(importance, np.float64))
 
 
 def vertex_normals(vertices: ArrayLike | torch.Tensor, faces: ArrayLike | torch.Tensor) -> NDArray:

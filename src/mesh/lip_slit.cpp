@@ -11,12 +11,13 @@
 
 #include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
-#include "mesh/lip_patch.h"
 #include "mesh/mouth_pocket.h"
+#include "mesh/surface_patch.h"
 
 namespace freetalk::mesh {
 namespace {
 
+constexpr double kRegion = 0.05;   // m around the middle of the lips that is taken apart
 constexpr double kValley = 0.003;  // m around a vertex, in which its depth is told
 constexpr double kSteep = 0.15;    // of kValley: a depth from which a valley is a crease
 constexpr double kFlatCost = 1.0;  // of a path, beside its length, where no crease is
@@ -28,11 +29,41 @@ constexpr double kSnap = 0.3;       // of an edge: nearer to the curve, its end 
 constexpr double kOffCurve = 20.0;  // cost of a path beside the curve
 constexpr size_t kFewest = 5;       // vertices of a slit
 
-/// The path of the slit, and the cut along it.
-class Surgery : public LipPatch {
+/// From corner to corner of the inner lips.
+std::vector<om::Vec3d> line_between_lips(const Eigen::MatrixXd& landmarks) {
+  std::vector<om::Vec3d> line{vec(landmarks.row(60))};
+  for (const auto& [upper, lower] : core::kInnerLips) {
+    line.push_back(vec((landmarks.row(upper) + landmarks.row(lower)) / 2));
+  }
+  line.push_back(vec(landmarks.row(64)));
+  return line;
+}
+
+/// Polygons, taken whole or not at all, around a place.
+std::vector<bool> polygons_around(const Mesh& mesh, const om::Vec3d& middle) {
+  std::vector<bool> near(static_cast<size_t>(mesh.num_polygons()), true);
+  for (Eigen::Index f = 0; f < mesh.num_faces(); ++f) {
+    for (int k = 0; k < 3; ++k) {
+      if ((vec(mesh.vertices.row(mesh.faces(f, k))) - middle).norm() >= kRegion) {
+        near[static_cast<size_t>(mesh.face_polygon[static_cast<size_t>(f)])] = false;
+      }
+    }
+  }
+  return near;
+}
+
+/// The surface around the lips, edges near them halved until they are short; the path of the slit,
+/// and the cut along it.
+class Surgery : public SurfacePatch {
  public:
   Surgery(const Mesh& mesh, const Eigen::MatrixXd& landmarks, const SlitOptions& options)
-      : LipPatch(mesh, landmarks, options) {
+      : SurfacePatch(mesh, polygons_around(mesh, line_between_lips(landmarks)[2])),
+        options_(options),
+        line_(line_between_lips(landmarks)) {
+    FREETALK_RUNTIME_CHECK(manifold(), mesh.name,
+                           ": the surface around the lips is not manifold, so no slit is cut; "
+                           "drop duplicate and floating polygons first");
+    refine();
     find_path();
     straighten();
     find_path();
@@ -40,8 +71,9 @@ class Surgery : public LipPatch {
 
   LipSlit result() {
     LipSlit slit;
-    cut(slit);
+    cut();
     put_together(slit);
+    for (const int v : below_) slit.mesh.vertices(v, 1) -= options_.gap;
     slit.edges = static_cast<int64_t>(path_.size()) - 1;
     if (options_.depth > 0) {
       sew_pocket(upper_, lower_, options_.depth, rim_polygon_, slit);
@@ -50,6 +82,36 @@ class Surgery : public LipPatch {
   }
 
  private:
+  /// From the line between the corners of the inner lips, m.
+  double distance(const om::Vec3d& point) const {
+    double least = std::numeric_limits<double>::infinity();
+    for (size_t i = 0; i + 1 < line_.size(); ++i) {
+      const om::Vec3d along = line_[i + 1] - line_[i];
+      const double share = ((point - line_[i]) | along) / std::max(along.sqrnorm(), 1e-18);
+      least = std::min(least, (point - line_[i] - along * std::clamp(share, 0.0, 1.0)).norm());
+    }
+    return least;
+  }
+
+  bool to_halve(om::EdgeHandle edge) const {
+    if (surface_.is_boundary(edge) || surface_.calc_edge_length(edge) <= options_.edge) {
+      return false;
+    }
+    const om::HalfedgeHandle half = surface_.halfedge_handle(edge, 0);
+    const om::Vec3d a = surface_.point(surface_.from_vertex_handle(half));
+    const om::Vec3d b = surface_.point(surface_.to_vertex_handle(half));
+    for (const double share : {0.0, 0.25, 0.5, 0.75, 1.0}) {
+      if (distance(a * (1 - share) + b * share) < options_.corridor) return true;
+    }
+    return false;
+  }
+
+  void refine() {
+    halve_longest([this](om::EdgeHandle edge) {
+      return to_halve(edge) ? surface_.calc_edge_length(edge) : 0.0;
+    });
+  }
+
   /// How much of a crease a vertex lies in, in [0, 1].
   double crease(Vertex v) {
     const om::Vec3d own = surface_.point(v);
@@ -165,7 +227,7 @@ class Surgery : public LipPatch {
   }
 
   /// Gives the triangles below the path vertices of their own.
-  void cut(LipSlit& slit) {
+  void cut() {
     std::map<int, int> copies;
     const auto rim = [&](Vertex v, om::HalfedgeHandle side, std::vector<RimVertex>& to) {
       const auto face = static_cast<size_t>(surface_.face_handle(side).idx());
@@ -188,7 +250,7 @@ class Surgery : public LipPatch {
         corner.vertex = copy->second;
         below_.insert(copy->second);
         half = surface_.next_halfedge_handle(back);
-        split_.insert(polygon_[face]);
+        changed_.insert(polygon_[face]);
       }
     }
     for (size_t i = 0; i < path_.size(); ++i) {
@@ -198,9 +260,11 @@ class Surgery : public LipPatch {
     }
     lower_.front() = upper_.front();
     lower_.back() = upper_.back();
-    slit.added = added_;
   }
 
+  const SlitOptions& options_;
+  std::vector<om::Vec3d> line_;  // from corner to corner of the inner lips
+  std::set<int> below_;
   std::vector<Vertex> path_;
   std::pair<Vertex, Vertex> ends_;
   std::set<Vertex> on_curve_;

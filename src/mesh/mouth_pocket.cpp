@@ -38,7 +38,7 @@ std::vector<size_t> columns_of(const Eigen::MatrixXd& vertices, const std::vecto
 }  // namespace
 
 void sew_pocket(const std::vector<RimVertex>& upper, const std::vector<RimVertex>& lower,
-                double depth, int origin, LipSlit& slit) {
+                double depth, int origin, Reshaped& slit) {
   Eigen::MatrixXd& vertices = slit.mesh.vertices;
   const size_t n = upper.size() - 1;
   const std::vector<size_t> columns = columns_of(vertices, upper);

@@ -5,7 +5,7 @@
 
 #include <vector>
 
-#include "freetalk/mesh/lip_slit.h"
+#include "freetalk/mesh/reshaped.h"
 
 namespace freetalk::mesh {
 
@@ -18,6 +18,6 @@ struct RimVertex {
 /// @param upper, lower from the corner of the subject's right to that of the left, of the same
 /// length; they share both ends. @param origin the polygon whose look the pocket has.
 void sew_pocket(const std::vector<RimVertex>& upper, const std::vector<RimVertex>& lower,
-                double depth, int origin, LipSlit& slit);
+                double depth, int origin, Reshaped& slit);
 
 }  // namespace freetalk::mesh

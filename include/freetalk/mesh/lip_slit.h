@@ -4,9 +4,9 @@
 #include <Eigen/Core>
 
 #include <cstdint>
-#include <vector>
 
 #include "freetalk/mesh/mesh.h"
+#include "freetalk/mesh/reshaped.h"
 
 namespace freetalk::mesh {
 
@@ -33,17 +33,8 @@ struct SlitOptions {
   void check() const;
 };
 
-/// Between two vertices of the given mesh: (1 - share) a + share b.
-struct VertexOrigin {
-  int a = 0, b = 0;
-  double share = 0.0;
-};
-
-struct LipSlit {
-  Mesh mesh;                        ///< the given vertices in their order and place, then new ones
-  std::vector<int> polygon_origin;  ///< (P',) the given polygon whose look each has
-  std::vector<VertexOrigin> added;  ///< of the new vertices: whose look each has
-  int64_t edges = 0;                ///< of the slit
+struct LipSlit : Reshaped {
+  int64_t edges = 0;  ///< of the slit
 };
 
 /// Cuts along the crease between the lips from corner to corner (landmarks 60 and 64), lowers the

@@ -8,9 +8,11 @@ import typing
 
 __all__: list[str] = [
     "Appearance",
+    "Budgeted",
     "LipSlit",
     "Mesh",
     "MeshReport",
+    "Reshaped",
     "SlitOptions",
     "boundary_loops",
     "close_holes",
@@ -22,6 +24,7 @@ __all__: list[str] = [
     "load_mesh",
     "mesh_report",
     "save_mesh",
+    "to_vertex_budget",
     "vertex_normals",
 ]
 
@@ -239,19 +242,14 @@ class SlitOptions:
         All fields by name.
         """
 
-class LipSlit:
+class Reshaped:
     """
-    A mesh whose lips were cut apart.
+    A mesh made of another one.
     """
-    @property
-    def edges(self) -> int:
-        """
-        Of the slit.
-        """
     @property
     def mesh(self) -> Mesh:
         """
-        The given vertices in their order, then new ones.
+        Old vertices in their order, then new ones.
         """
     @property
     def polygon_origin(self) -> list[int]:
@@ -261,7 +259,27 @@ class LipSlit:
     @property
     def vertex_origin(self) -> list[tuple[int, int, float]]:
         """
-        Of each new vertex (a, b, share): it looks like (1 - share) a + share b, earlier ones.
+        Of each new vertex (a, b, share): it looks like (1 - share) a + share b, those given and earlier ones.
+        """
+
+class LipSlit(Reshaped):
+    """
+    A mesh whose lips were cut apart.
+    """
+    @property
+    def edges(self) -> int:
+        """
+        Of the slit.
+        """
+
+class Budgeted(Reshaped):
+    """
+    A mesh of about as many vertices as wanted.
+    """
+    @property
+    def vertex_map(self) -> list[int]:
+        """
+        (V,) the new vertex of each old one, -1 where it is gone.
         """
 
 def boundary_loops(
@@ -347,6 +365,15 @@ def save_mesh(path: os.PathLike | str | bytes, mesh: Mesh) -> None:
 def save_mesh(path: os.PathLike | str | bytes, mesh: Mesh, appearance: Appearance) -> None:
     """
     The same with the look of the surface.
+    """
+
+def to_vertex_budget(
+    mesh: Mesh,
+    vertices: typing.SupportsInt | typing.SupportsIndex,
+    importance: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, 1]"] = ...,
+) -> Budgeted:
+    """
+    Thins a mesh out or halves its edges until it has about as many vertices.
     """
 
 def vertex_normals(

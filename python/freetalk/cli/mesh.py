@@ -65,8 +65,8 @@ def prepare(arguments: argparse.Namespace) -> None:
         winding=not arguments.keep_winding,
         holes=arguments.holes,
     )
-    if arguments.parts or not arguments.keep_lips:
-        prepared = _open_face(arguments, prepared)
+    if arguments.parts or arguments.vertices or not arguments.keep_lips:
+        prepared = _on_the_face(arguments, prepared)
     for step in prepared.steps or ["nothing to repair"]:
         print(f"  {step}")
     save_prepared(arguments.out, prepared)
@@ -77,10 +77,11 @@ def prepare(arguments: argparse.Namespace) -> None:
         print(f"wrote {arguments.map}")
 
 
-def _open_face(arguments: argparse.Namespace, prepared: Any) -> Any:
-    """The mesh with lips apart and what is behind them; says why not where no face is found on it."""
+def _on_the_face(arguments: argparse.Namespace, prepared: Any) -> Any:
+    """The mesh with its vertices where the face is, lips apart and what is behind them; says why not where no face is
+    found on it."""
     from freetalk.faces import find_landmarks
-    from freetalk.prepare import add_inner_parts, open_lips
+    from freetalk.prepare import add_inner_parts, open_lips, to_budget
     from freetalk.talker.where import place
 
     mesh = prepared.mesh
@@ -93,9 +94,11 @@ def _open_face(arguments: argparse.Namespace, prepared: Any) -> Any:
             found = find_landmarks(vertices, faces, align(arguments, vertices, faces))
         except ValueError as error:
             print(f"  lips and eyes were not looked at: {error}")
-            return prepared
+            return to_budget(prepared, arguments.vertices) if arguments.vertices else prepared
         print(f"  {found.summary}")
         pose, marks = found.pose, found.positions
+    if arguments.vertices:
+        prepared = to_budget(prepared, arguments.vertices, pose, marks)
     if not arguments.keep_lips:
         depth = {"depth": 0.0} if arguments.parts or arguments.no_inner_mouth else {}
         prepared = open_lips(prepared, pose, marks, **depth)

@@ -59,6 +59,12 @@ def add_prepare(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="close holes of at most N edges (eyes, mouth and neck are holes too)",
     )
+    parser.add_argument(
+        "--vertices",
+        type=int,
+        metavar="N",
+        help="thin the mesh out or refine it to about N vertices, most of them around mouth and eyes",
+    )
     for name, what in (("duplicates", "duplicate polygons"), ("winding", "the winding")):
         parser.add_argument(f"--keep-{name}", action="store_true", help=f"leave {what} alone")
     parser.add_argument(

@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 from freetalk.prepare.inner_parts import add_inner_parts
-from freetalk.prepare.repair import FLOATING, Prepared, open_lips, prepare_mesh, save_prepared
+from freetalk.prepare.repair import (
+    FLOATING,
+    Prepared,
+    open_lips,
+    prepare_mesh,
+    save_prepared,
+    to_budget,
+)
 
 __all__ = [
     "FLOATING",
@@ -12,4 +19,5 @@ __all__ = [
     "open_lips",
     "prepare_mesh",
     "save_prepared",
+    "to_budget",
 ]

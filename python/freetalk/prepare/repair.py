@@ -12,12 +12,14 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from freetalk.animation import Animation
 from freetalk.geometry import Similarity
 from freetalk.mesh import (
     Appearance,
     Mesh,
+    Reshaped,
     SlitOptions,
     boundary_loops,
     connected_components,
@@ -26,10 +28,13 @@ from freetalk.mesh import (
     load_appearance,
     load_mesh,
     save_mesh,
+    to_vertex_budget,
 )
 
 #: A part with less than this share of the polygons floats beside the face by mistake.
 FLOATING = 0.002
+#: Landmarks around which a vertex budget goes first: how much more edges are worth there, and how far from them (m).
+IMPORTANT = ((slice(0, 68), 1.5, 0.04), (slice(36, 68), 3.0, 0.012))
 
 Polygon = list[int]
 
@@ -133,6 +138,45 @@ def prepare_mesh(
     return Prepared(repaired, new[: len(vertices)].astype(np.int64), steps, appearance)
 
 
+def to_budget(
+    prepared: Prepared,
+    vertices: int,
+    pose: Similarity | None = None,
+    landmarks: NDArray[np.float64] | None = None,
+) -> Prepared:
+    """Thins a mesh out or refines it to about as many vertices, most of them around mouth and eyes.
+
+    Args:
+        prepared: as :func:`prepare_mesh` leaves it.
+        vertices: how many are wanted, > 0.
+        pose: from the mesh to the canonical frame, m; None: the same everywhere.
+        landmarks: (68, 3) in the mesh's own unit and axes.
+
+    Raises:
+        ValueError: no vertices are wanted.
+    """
+    mesh = prepared.mesh
+    importance = np.ones(len(mesh.vertices))
+    if pose is not None and landmarks is not None:
+        home, marks = pose.apply(np.asarray(mesh.vertices)), pose.apply(landmarks)
+        for rows, worth, reach in IMPORTANT:
+            away = cKDTree(marks[rows]).query(home)[0]
+            importance += worth * np.exp(-((away / reach) ** 2))
+    made = to_vertex_budget(mesh, vertices, importance)
+    count = len(made.mesh.vertices)
+    if count == len(mesh.vertices):
+        return prepared
+    now = np.asarray(made.vertex_map)
+    colours = np.asarray(prepared.appearance.colours)
+    if len(colours):
+        mixed = _mixed(colours, made)
+        colours = np.concatenate([mixed[: len(now)][now >= 0], mixed[len(now) :]])
+    look = prepared.appearance.carried(made.polygon_origin, colours)
+    old = prepared.vertex_map
+    steps = [*prepared.steps, f"{len(mesh.vertices)} vertices made {count}"]
+    return Prepared(made.mesh, np.where(old >= 0, now[old], -1), steps, look)
+
+
 def open_lips(
     prepared: Prepared, pose: Similarity, landmarks: NDArray[np.float64], **options: float
 ) -> Prepared:
@@ -170,11 +214,8 @@ def open_lips(
         polygon_texcoords=slit.mesh.polygon_texcoords,
         name=mesh.name,
     )
-    colours = list(np.asarray(prepared.appearance.colours))
-    if colours:
-        for a, b, share in slit.vertex_origin:
-            colours.append((1 - share) * colours[a] + share * colours[b])
-    look = prepared.appearance.carried(slit.polygon_origin, np.asarray(colours).reshape(-1, 4))
+    colours = _mixed(np.asarray(prepared.appearance.colours), slit)
+    look = prepared.appearance.carried(slit.polygon_origin, colours)
     step = f"a slit of {slit.edges} edges cut between the lips"
     if wanted.depth > 0:
         step += ", an inner mouth sewn behind it"
@@ -205,6 +246,15 @@ def save_prepared(path: str | os.PathLike[str], prepared: Prepared) -> None:
 def polygons_of(mesh: Mesh) -> list[Polygon]:
     """Its polygons, the triangles where it has no others; lists of their own."""
     return [list(polygon) for polygon in mesh.polygons or np.asarray(mesh.faces).tolist()]
+
+
+def _mixed(colours: NDArray[np.float64], made: Reshaped) -> NDArray[np.float64]:
+    """(V', 4) those of the given vertices and of the new ones; (0, 4) without any."""
+    rows = list(colours)
+    if rows:
+        for a, b, share in made.vertex_origin:
+            rows.append((1 - share) * rows[a] + share * rows[b])
+    return np.asarray(rows).reshape(-1, 4)
 
 
 def _said(count: int, what: str) -> list[str]:
