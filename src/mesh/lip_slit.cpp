@@ -250,7 +250,7 @@ class Surgery : public SurfacePatch {
         corner.vertex = copy->second;
         below_.insert(copy->second);
         half = surface_.next_halfedge_handle(back);
-        changed_.insert(polygon_[face]);
+        changed_[static_cast<size_t>(polygon_[face])] = true;
       }
     }
     for (size_t i = 0; i < path_.size(); ++i) {

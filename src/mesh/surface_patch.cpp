@@ -10,7 +10,7 @@
 namespace freetalk::mesh {
 
 SurfacePatch::SurfacePatch(const Mesh& mesh, std::vector<bool> taken)
-    : mesh_(mesh), taken_(std::move(taken)) {
+    : mesh_(mesh), changed_(taken.size()), taken_(std::move(taken)) {
   for (bool whole = false; !whole;) {
     const auto before = std::count(taken_.begin(), taken_.end(), true);
     take_apart();
@@ -123,7 +123,7 @@ Vertex SurfacePatch::split(om::EdgeHandle edge, double share) {
     if (first) texture->second = texture_between(from.texcoord, to.texcoord, share);
     gone.texcoord = texture->second;
   }
-  for (auto& [across, parent] : parents) changed_.insert(parent.second);
+  for (auto& [across, parent] : parents) changed_[static_cast<size_t>(parent.second)] = true;
   return middle;
 }
 
@@ -179,14 +179,14 @@ void SurfacePatch::put_together(Reshaped& result) {
   }
   made.name = mesh_.name;
   for (int p = 0; p < mesh_.num_polygons(); ++p) {
-    if (changed_.contains(p)) continue;
+    if (changed_[static_cast<size_t>(p)]) continue;
     made.polygons.push_back(mesh_.polygon(p));
     if (own > 0) made.polygon_texcoords.push_back(mesh_.polygon_texcoords[static_cast<size_t>(p)]);
     result.polygon_origin.push_back(p);
   }
   for (const om::FaceHandle face : surface_.faces()) {
     const auto index = static_cast<size_t>(face.idx());
-    if (!changed_.contains(polygon_[index])) continue;
+    if (!changed_[static_cast<size_t>(polygon_[index])]) continue;
     std::vector<int> polygon, texture;
     for (const Vertex v : surface_.fv_range(face)) {
       const Corner& corner = corner_at(corners_[index], v);

@@ -64,7 +64,7 @@ class SurfacePatch {
   Surface surface_;
   std::vector<Corners> corners_;  // of each face of surface_
   std::vector<int> polygon_;
-  std::set<int> changed_;  // polygons whose triangles take their place
+  std::vector<bool> changed_;  // polygons whose triangles take their place
   std::vector<VertexOrigin> added_;
 
  private:

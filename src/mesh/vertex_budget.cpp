@@ -132,7 +132,7 @@ class Budget : public SurfacePatch {
       const Corner stays = corner(info.fl, info.v1);
       for (const om::FaceHandle face : surface_.vf_range(info.v0)) {
         const auto index = static_cast<size_t>(face.idx());
-        changed_.insert(polygon_[index]);
+        changed_[static_cast<size_t>(polygon_[index])] = true;
         if (face != info.fl && face != info.fr) corner_at(corners_[index], info.v0) = stays;
       }
     };
