@@ -9,6 +9,7 @@
 #include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
 #include "geometry/tensor_conversion.h"
+#include "stm/lip_sides.h"
 
 namespace freetalk::stm {
 namespace {
@@ -44,7 +45,8 @@ LandmarkFollower::LandmarkFollower(const Eigen::MatrixXd& vertices, const Eigen:
   FREETALK_CHECK(landmarks.rows() == kNumLandmarks && landmarks.cols() == 3,
                  "STM: expected landmarks (68, 3), found (", landmarks.rows(), ", ",
                  landmarks.cols(), ")");
-  const auto places = geometry::nearest_on_surface(vertices, faces, landmarks, normals);
+  auto places = geometry::nearest_on_surface(vertices, faces, landmarks, normals);
+  put_on_their_lips(vertices, faces, landmarks, normals, places);
   std::vector<Eigen::Index> near;
   for (Eigen::Index n = 0; n < kNumLandmarks; ++n) {
     if (places.distance[n] <= options.farthest) near.push_back(n);

@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import cKDTree
+from sewn_lips import sewn_head
 
 import freetalk
 from freetalk.corpus.assets import EXTENTS, crop_quads, load_face_model, triangulate
 from freetalk.corpus.linear_face import built_in_face
 from freetalk.geometry import cotan_laplacian, lumped_mass, surface_operators
-from freetalk.mesh import vertex_normals
+from freetalk.mesh import cut_lips, vertex_normals
 from freetalk.stm import FollowOptions, LandmarkFollower, Stm
 
 SHIPPED = Path(freetalk.__file__).parent / "pretrained" / "open-small"
@@ -202,3 +204,28 @@ def test_other_shapes_are_refused(
         follower_of(*head[:2], noise=0.0)
     with pytest.raises(ValueError, match="far must be above near"):
         follower_of(*head[:2], near=0.2)
+
+
+@pytest.mark.parametrize("off", [-0.0012, 0.0012])
+def test_guessed_landmarks_move_the_lip_they_belong_to(off: float) -> None:
+    vertices, faces, marks = sewn_head()
+    slit = cut_lips(freetalk.Mesh(vertices, faces.tolist()), marks)
+    points, triangles = np.asarray(slit.mesh.vertices), np.asarray(slit.mesh.faces)
+    guessed = marks.copy()
+    guessed[60:68, 1] += off
+    follower = LandmarkFollower(
+        points,
+        triangles,
+        landmarks=guessed,
+        normals=vertex_normals(vertices, faces)[cKDTree(vertices).query(marks)[1]],
+    )
+    told = torch.zeros(1, 68, 3)
+    told[0, [5, 6, 7, 8, 9, 10, 11, *range(55, 60), 65, 66, 67], 1] = -0.01  # jaw and lower lip
+    moved = follower.apply(torch.zeros(1, len(points), 3), told)[0, :, 1].numpy()
+    upper, lower = cKDTree(points).query_pairs(4e-5, output_type="ndarray").T
+    swap = points[upper, 1] < points[lower, 1]
+    upper, lower = np.where(swap, lower, upper), np.where(swap, upper, lower)
+    middle = np.abs(points[upper, 0] - marks[62, 0]) < 0.012
+    assert middle.sum() > 20
+    assert np.abs(moved[upper[middle]]).max() < 0.003
+    assert moved[lower[middle]].max() < -0.006

@@ -13,6 +13,7 @@ inline constexpr int64_t kNumLandmarks = 68;              // N
 inline constexpr int64_t kMotionDim = 3 * kNumLandmarks;  // D
 
 /// Upper and lower landmarks that face each other at the inner lips, and at the lids.
+inline constexpr int kFirstInnerLip = 60;
 inline constexpr std::array<std::array<int, 2>, 3> kInnerLips{{{61, 67}, {62, 66}, {63, 65}}};
 inline constexpr std::array<std::array<int, 2>, 4> kLids{{{37, 41}, {38, 40}, {43, 47}, {44, 46}}};
 
