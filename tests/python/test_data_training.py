@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,14 @@ import torch
 from dataset_layouts import packed, write_folder
 from mini_corpus import write_mini_corpus
 
+from freetalk import _native
 from freetalk.ats import Ats
 from freetalk.cli.app import main
 from freetalk.data import open_datasets
 from freetalk.train.config import load_config
 from freetalk.train.run import make_task, run
-from freetalk.train.stm_meshes import prepare_meshes
+from freetalk.train.stm_cuts import FaceCuts
+from freetalk.train.stm_meshes import PreparedFaces, PreparedMesh, prepare_mesh
 from freetalk.train.stm_windows import FaceWindows
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -42,8 +45,6 @@ def sparse(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def finite(directory: Path) -> bool:
-    from freetalk import _native
-
     tensors = _native.core.load_safetensors(str(directory / "model.safetensors"))
     return all(bool(torch.isfinite(t).all()) for t in tensors.values())
 
@@ -121,12 +122,12 @@ def test_a_sequence_moves_the_face_it_was_recorded_on(
     corpus: Path, own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     mixed = open_datasets([f"OPEN={corpus}", f"OWN={own}"])
-    (tmp_path / "operators").mkdir()
-    meshes = prepare_meshes(
-        mixed, "train", 0, 0, 0.1, 8, str(tmp_path / "operators"), torch.device("cpu")
+    prepare = partial(prepare_mesh, mixed, length_scale=0.1, k_eig=8)
+    meshes = PreparedFaces(mixed, "train", 0, 0, prepare)
+    assert {face.dataset for face in meshes.faces} == {"OPEN", "OWN"}
+    windows = FaceWindows(
+        mixed, meshes.faces, "train", {"OPEN/facegood": 1, "OWN": 1, "random": 1}, 4
     )
-    assert {mesh.dataset for mesh in meshes} == {"OPEN", "OWN"}
-    windows = FaceWindows(mixed, meshes, "train", {"OPEN/facegood": 1, "OWN": 1, "random": 1}, 4)
     rng = np.random.default_rng(0)
     datasets = []
     for _ in range(40):
@@ -134,20 +135,59 @@ def test_a_sequence_moves_the_face_it_was_recorded_on(
         mesh = meshes[window.mesh]
         assert window.target.shape == (4, len(mesh.positions), 3)
         assert window.landmarks.shape == (4, 68, 3)
-        datasets.append(mesh.dataset)
-        if mesh.dataset == "OWN":  # its landmarks are vertices of the very face
-            marks = mixed.mesh(mesh.identity, mesh.topology).landmarks
+        datasets.append(mesh.face.dataset)
+        if mesh.face.dataset == "OWN":  # its landmarks are vertices of the very face
+            marks = mixed.mesh(mesh.face.identity, mesh.face.topology).landmarks
             # Vertices are float16: half a unit of the last of 11 digits of 6 mm.
             np.testing.assert_allclose(window.target[:, marks], window.landmarks, atol=2e-6)
     assert 5 < datasets.count("OWN") < 25
     for index, mesh in enumerate(meshes):
-        assert windows.first_on(index).dataset == mesh.dataset
+        assert windows.first_on(index).dataset == mesh.face.dataset
         assert len(windows.draw_on(index, rng).target[0]) == len(mesh.positions)
-    own_alone = [mesh for mesh in meshes if mesh.dataset == "OWN"]
+    own_alone = [face for face in meshes.faces if face.dataset == "OWN"]
     capsys.readouterr()
     alone = FaceWindows(mixed, own_alone, "train", {"random": 1.0}, 4)
     assert "no source random here" in capsys.readouterr().err
     assert {own_alone[alone.draw(rng).mesh].dataset for _ in range(8)} == {"OWN"}
+
+
+def test_faces_beyond_the_memory_come_again_from_the_folder(
+    corpus: Path, own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mixed = open_datasets([f"OPEN={corpus}", f"OWN={own}"])
+    made: list[int] = []
+
+    def prepare(identity: int, topology: str, index: int) -> PreparedMesh:
+        made.append(index)
+        cuts = FaceCuts(0.5, 0.1, 8)
+        return prepare_mesh(mixed, identity, topology, 0.1, 8, tmp_path, cuts=cuts, index=index)
+
+    whole = PreparedFaces(mixed, "train", 0, 0, prepare)
+    assert all(whole[at].face is whole.faces[at] for at in range(5))
+    assert made == list(range(5)) == list(range(len(whole)))
+    assert whole[0].num_bytes > whole[0].operators.evecs.nbytes + whole[0].operators.frames.nbytes
+    monkeypatch.setattr(PreparedMesh, "num_bytes", 10)
+    two = PreparedFaces(mixed, "train", 0, 0, prepare, most_bytes=20)
+    made.clear()
+    drawn = [4, 3, 0, 3, 4, 2, 1]
+    for at in drawn:
+        again, first = two[at], whole[at]
+        assert torch.equal(again.positions, first.positions)
+        assert torch.equal(again.operators.evecs, first.operators.evecs)
+        assert np.array_equal(again.face.kept, first.face.kept)
+    assert made == [0, 4, 2, 1]  # 4 was asked for longest ago when 0 came, then 3 stayed
+    with pytest.raises(IndexError):
+        two[5]
+
+
+def test_the_mesh_stage_learns_the_same_in_little_memory(corpus: Path, tmp_path: Path) -> None:
+    learnt = []
+    for room in ("0", "1e-6"):
+        options = [*STM, "loop.batch_size=3", f"task.operator_memory_gb={room}"]
+        out = tmp_path / room
+        run("stm", CONFIGS / "stm_smoke.yaml", options, corpus, out)
+        learnt.append(_native.core.load_safetensors(str(out / "stm" / "model.safetensors")))
+    assert all(torch.equal(learnt[1][name], value) for name, value in learnt[0].items())
 
 
 def test_what_cannot_train_is_said_before_it_starts(

@@ -80,7 +80,7 @@ def test_a_cropped_face_moves_as_the_whole_one(
     mesh = prepare_mesh(corpus, identity, topology, 0.1, 8, cuts=FaceCuts(1.0))
     assert torch.equal(mesh.positions, torch.from_numpy(whole.vertices[kept]))
     assert torch.equal(mesh.lip_mask, torch.from_numpy(whole.lip_mask[kept]))
-    windows = FaceWindows(corpus, [mesh], "train", {}, 4)
+    windows = FaceWindows(corpus, [mesh.face], "train", {}, 4)
     sequence = windows.first_on(0)
     window = windows.of(sequence, 0, np.random.default_rng(0))
     every = corpus.vertex_displacements(topology, sequence)

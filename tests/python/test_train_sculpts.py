@@ -74,16 +74,17 @@ def test_windows_show_sculpts_and_bent_faces_in_their_shares(corpus: Dataset) ->
     mesh = prepare_mesh(
         corpus, identity, topology, 0.1, 8, cuts=FaceCuts(), landmarks=landmarks, bends=1.0
     )
-    assert mesh.bend is not None and mesh.follower is not None
+    bend = mesh.face.bend
+    assert bend is not None and mesh.follower is not None
     whole = corpus.mesh(identity, topology)
-    assert np.allclose(mesh.positions.numpy(), mesh.bend(whole.vertices), atol=1e-6)
+    assert np.allclose(mesh.positions.numpy(), bend(whole.vertices), atol=1e-6)
     sculpts = Sculpts(corpus, landmarks)
     for share in (0.0, 1.0):
-        windows = FaceWindows(corpus, [mesh], "train", {}, 4, sculpts, share)
+        windows = FaceWindows(corpus, [mesh.face], "train", {}, 4, sculpts, share)
         sequence = windows.sampler.sequences[0]
         window = windows.of(sequence, 0, np.random.default_rng(0), first=2)
         moved = corpus.vertex_displacements(topology, sequence, 2, 6)
-        bent = mesh.bend.motion(whole.vertices, moved)
+        bent = bend.motion(whole.vertices, moved)
         assert np.allclose(window.target, bent, atol=1e-6) == (share == 0.0)
         assert window.landmarks.shape == (4, 68, 3) and window.landmarks.dtype == np.float32
 

@@ -14,7 +14,7 @@ NO_VALIDATION = (
 )
 #: Task options that do not change what is learnt.
 _FREE = (
-    *("operator_cache", "feature_cache"),
+    *("operator_cache", "operator_memory_gb", "feature_cache"),
     *("validation_windows", "validation_samples", "validation_crops"),
 )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,9 @@ from freetalk.train.stm_cuts import FaceCuts
 from freetalk.train.stm_landmarks import FaceLandmarks
 from freetalk.train.stm_meshes import (
     Placement,
+    PreparedFaces,
     PreparedMesh,
-    prepare_meshes,
+    prepare_mesh,
     random_placement,
 )
 from freetalk.train.stm_sculpts import Sculpts
@@ -67,10 +69,11 @@ class StmTask:
         sculpts = None
         if self.landmarks is not None and o.sculpts > 0:
             sculpts = Sculpts(corpus, self.landmarks)
-        self.windows = FaceWindows(corpus, self.meshes, "train", shares, frames, sculpts, o.sculpts)
+        faces = self.meshes.faces
+        self.windows = FaceWindows(corpus, faces, "train", shares, frames, sculpts, o.sculpts)
         self.epochs = Epochs(self.windows.sampler.sequences, frames, config.loop.seed)
         self._in_epochs = config.loop.epochs > 0
-        self.held_out = FaceWindows(corpus, self._held_out_meshes, "val", {}, frames)
+        self.held_out = FaceWindows(corpus, self._held_out_meshes.faces, "val", {}, frames)
 
     def item(self, rng: np.random.Generator, number: int) -> dict[str, Any]:
         """A face, its place, and a window of motion."""
@@ -170,14 +173,14 @@ class StmTask:
         parts = [
             self._predict(mesh, part, still)[0] for part in landmarks.split(self.options.frames)
         ]
-        face = self.corpus.mesh(mesh.identity, mesh.topology)
+        face = self.corpus.mesh(mesh.face.identity, mesh.face.topology)
         rate = self.corpus.sample_rate_hz
         audio = self.corpus.audio(sequence) if sequence.has_sound else np.zeros(0, np.float32)
         return Sample(
             vertices=face.vertices,
             faces=face.faces,
             predicted=torch.cat(parts).cpu().numpy(),
-            true=self.corpus.vertex_displacements(mesh.topology, sequence, 0, frames),
+            true=self.corpus.vertex_displacements(mesh.face.topology, sequence, 0, frames),
             fps=sequence.fps,
             audio=audio[: round(frames / sequence.fps * rate)],
             sample_rate_hz=rate,
@@ -224,22 +227,22 @@ class StmTask:
 
     def _prepare(
         self, split: str, count: int, max_vertices: int, cuts: FaceCuts | None = None
-    ) -> list[PreparedMesh]:
+    ) -> PreparedFaces:
         options = self.model.options
         cache = Path(
             self.options.operator_cache or Path(default_cache_dir()) / "training-operators"
         )
         cache.mkdir(parents=True, exist_ok=True)
-        return prepare_meshes(
+        prepare = partial(
+            prepare_mesh,
             self.corpus,
-            split,
-            count,
-            max_vertices,
-            options.length_scale,
-            options.k_eig,
-            str(cache),
-            self.device,
-            cuts,
-            self.landmarks,
-            self.options.bends if cuts is not None else 0.0,
+            length_scale=options.length_scale,
+            k_eig=options.k_eig,
+            cache_dir=cache,
+            device=self.device,
+            cuts=cuts,
+            landmarks=self.landmarks,
+            bends=self.options.bends if cuts is not None else 0.0,
         )
+        most_bytes = int(self.options.operator_memory_gb * 1e9)
+        return PreparedFaces(self.corpus, split, count, max_vertices, prepare, most_bytes)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 from tqdm import tqdm
 
-from freetalk.data import Dataset
+from freetalk.data import NUM_LANDMARKS, Dataset
 from freetalk.geometry import SurfaceOperators, surface_operators
 from freetalk.stm import LandmarkFollower
 from freetalk.train.progress import notice
@@ -26,31 +28,109 @@ _UNLIMITED = 1 << 62
 _SEED = 70
 
 
-@dataclass
-class PreparedMesh:
-    """A neutral face ready for the network.
+@dataclass(frozen=True)
+class Face:
+    """What of a corpus a prepared face is.
 
     Attributes:
         identity: index in the corpus.
         topology: meshing in the corpus.
-        positions: (V, 3) float32, m.
-        operators: of the vertices divided by the model's ``length_scale``, float32.
-        lip_mask: (V,) bool.
         dataset: name of the dataset, whose sequences move it.
         kept: (V,) the meshing's vertices that are left after a crop; None where all are.
         bend: what gave the face other proportions than the corpus's; None where it has those.
-        follower: of its landmarks; None where they are not asked for.
     """
 
     identity: int
     topology: str
-    positions: Tensor
-    operators: SurfaceOperators
-    lip_mask: Tensor
     dataset: str
     kept: npt.NDArray[np.int64] | None = None
     bend: Bend | None = None
+
+
+@dataclass(frozen=True)
+class PreparedMesh:
+    """A neutral face ready for the network.
+
+    Attributes:
+        face: what it was made of.
+        positions: (V, 3) float32, m.
+        operators: of the vertices divided by the model's ``length_scale``, float32.
+        lip_mask: (V,) bool.
+        follower: of its landmarks; None where they are not asked for.
+    """
+
+    face: Face
+    positions: Tensor
+    operators: SurfaceOperators
+    lip_mask: Tensor
     follower: LandmarkFollower | None = None
+
+    @property
+    def num_bytes(self) -> int:
+        """Memory of its arrays, without what PoissonNet and Jacobian fields solve with."""
+        own = self.operators
+        tensors = [self.positions, self.lip_mask, own.mass, own.evecs, own.normals, own.frames]
+        size = sum(tensor.nbytes for tensor in (*tensors, *own.gradients.tensors()))
+        follows = 0 if self.follower is None else NUM_LANDMARKS * self.positions.nbytes // 3
+        return int(size + follows)
+
+
+class PreparedFaces:
+    """Faces of a split, in the order of ``corpus.faces``; those that were used last stay in memory.
+
+    Each is prepared once at the beginning, which brings its operators into the disk cache, and again whenever it
+    is asked for and has made room for others.
+
+    Attributes:
+        faces: what they are made of; loader workers need no more.
+
+    Args:
+        corpus: the dataset.
+        split: ``train``, ``val`` or ``test``.
+        count: how many, 0 for all.
+        max_vertices: larger faces are left out, 0 for no limit; where all are larger, all are taken.
+        prepare: makes one of an identity, a topology and the ``index`` of the face, always the same.
+        most_bytes: memory that they may take together, of which one face is always kept; 0 for no limit.
+
+    Raises:
+        ValueError: the split has no faces or no meshings.
+    """
+
+    def __init__(
+        self,
+        corpus: Dataset,
+        split: str,
+        count: int,
+        max_vertices: int,
+        prepare: Callable[..., PreparedMesh],
+        most_bytes: int = 0,
+    ) -> None:
+        small = corpus.faces(split, max_vertices)
+        pairs = small or corpus.faces(split)
+        if pairs and not small:
+            notice(f"no face of {corpus.name} has at most {max_vertices} vertices: all are taken")
+        if not pairs:
+            raise ValueError(f"{corpus.name} has no faces or no meshings in its {split} split")
+        self._pairs = pairs[: count or len(pairs)]
+        self._prepare, self._most_bytes = prepare, most_bytes
+        self._kept: OrderedDict[int, PreparedMesh] = OrderedDict()
+        self._bytes = 0
+        indices = tqdm(range(len(self._pairs)), desc=f"{split} operators", unit="mesh")
+        self.faces = [self[index].face for index in indices]
+
+    def __len__(self) -> int:
+        return len(self._pairs)
+
+    def __getitem__(self, index: int) -> PreparedMesh:
+        if index in self._kept:
+            self._kept.move_to_end(index)
+            return self._kept[index]
+        identity, topology = self._pairs[index]
+        self._kept[index] = mesh = self._prepare(identity, topology, index=index)
+        self._bytes += mesh.num_bytes
+        while self._bytes > self._most_bytes > 0 and len(self._kept) > 1:
+            self._bytes -= self._kept.popitem(last=False)[1].num_bytes
+        return mesh
 
 
 @dataclass(frozen=True)
@@ -111,8 +191,8 @@ def prepare_mesh(
 ) -> PreparedMesh:
     """A corpus face with its operators, from the disk cache where they are known.
 
-    A `cache_dir` of its own keeps all that is put there, the user's only what was used last. With `cuts` it loses what they take from the `index`-th face, and a share `bends` of such faces gets other
-    proportions. With `landmarks` it follows them: in training as certain as they may be, else where they are.
+    A `cache_dir` of its own keeps all that is put there, the user's only what was used last. With `cuts` it loses
+    what they take from the `index`-th face, and a share `bends` of such faces gets other proportions. With `landmarks` it follows them: in training as certain as they may be, else where they are.
     """
     device = device or torch.device("cpu")
     mesh = corpus.mesh(identity, topology)
@@ -147,70 +227,12 @@ def prepare_mesh(
         **own,
     )
     return PreparedMesh(
-        identity=identity,
-        topology=topology,
+        face=Face(identity, topology, mesh.dataset, kept, bend),
         positions=torch.from_numpy(mesh.vertices).to(device),
         operators=operators.to(dtype=torch.float32, device=str(device)),
         lip_mask=torch.from_numpy(mesh.lip_mask).to(device),
-        dataset=mesh.dataset,
-        kept=kept,
-        bend=bend,
         follower=follower,
     )
-
-
-def prepare_meshes(
-    corpus: Dataset,
-    split: str,
-    count: int,
-    max_vertices: int,
-    length_scale: float,
-    k_eig: int,
-    cache_dir: str,
-    device: torch.device,
-    cuts: FaceCuts | None = None,
-    landmarks: FaceLandmarks | None = None,
-    bends: float = 0.0,
-) -> list[PreparedMesh]:
-    """Faces of a split, in the order of ``corpus.faces``.
-
-    Args:
-        corpus: where they come from.
-        split: of both identities and meshings.
-        count: how many pairs, 0 for all.
-        max_vertices: larger meshings are left out if smaller ones are there, 0 for no limit.
-        length_scale: metres per unit of the operators.
-        k_eig: eigenpairs.
-        cache_dir: folder of operators, empty for the user's cache.
-        device: where the tensors go.
-        cuts: what the faces lose; None leaves them whole.
-        landmarks: where they are on the faces, which follow them; None for neither.
-        bends: share of the faces that get other proportions, which needs `landmarks`.
-    """
-    small = corpus.faces(split, max_vertices)
-    pairs = small or corpus.faces(split)
-    if pairs and not small:
-        notice(f"no face of {corpus.name} has at most {max_vertices} vertices: all are taken")
-    if not pairs:
-        raise ValueError(f"{corpus.name} has no faces or no meshings in its {split} split")
-    return [
-        prepare_mesh(
-            corpus,
-            identity,
-            topology,
-            length_scale,
-            k_eig,
-            cache_dir,
-            device,
-            cuts,
-            index,
-            landmarks,
-            bends,
-        )
-        for index, (identity, topology) in enumerate(
-            tqdm(pairs[: count or len(pairs)], desc=f"{split} operators", unit="mesh")
-        )
-    ]
 
 
 def random_weights(

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from freetalk.data import Dataset, MotionSequence
 from freetalk.train.sequences import SequenceSampler, present_weights
-from freetalk.train.stm_meshes import PreparedMesh, random_weights
+from freetalk.train.stm_meshes import Face, random_weights
 from freetalk.train.stm_sculpts import Sculpts
 
 FloatArray = npt.NDArray[np.float32]
@@ -34,11 +34,11 @@ class Window:
 
 
 class FaceWindows:
-    """Draws windows from the sequences of a split that can move one of the prepared faces.
+    """Draws windows from the sequences of a split that can move one of the faces.
 
     Args:
         corpus: where sequences and vertices come from.
-        meshes: the faces.
+        faces: the faces.
         split: of the sequences.
         source_weights: share of each source; ``random`` is drawn combinations of the open corpus's
             expressions. Sources that are not there are left out. Empty takes all sources in
@@ -54,7 +54,7 @@ class FaceWindows:
     def __init__(
         self,
         corpus: Dataset,
-        meshes: Sequence[PreparedMesh],
+        faces: Sequence[Face],
         split: str,
         source_weights: dict[str, float],
         frames: int,
@@ -63,15 +63,15 @@ class FaceWindows:
     ) -> None:
         self.corpus, self.frames = corpus, frames
         self._sculpts, self._sculpted = sculpts, sculpted
-        self._meshes = list(meshes)
+        self._faces = list(faces)
         self._by_key: dict[_Key, list[int]] = {}
-        for index, mesh in enumerate(self._meshes):
+        for index, mesh in enumerate(self._faces):
             for key in ((mesh.dataset, -1, ""), (mesh.dataset, mesh.identity, mesh.topology)):
                 self._by_key.setdefault(key, []).append(index)
         movable = [s for s in corpus.sequences(split) if _key(s) in self._by_key]
         if not movable:
             raise ValueError(
-                f"no {split} sequence of {corpus.name} moves one of the {len(self._meshes)} faces "
+                f"no {split} sequence of {corpus.name} moves one of the {len(self._faces)} faces "
                 "taken; raise task.num_meshes or task.max_vertices"
             )
         self._of_mesh: dict[int, SequenceSampler] = {}
@@ -113,7 +113,7 @@ class FaceWindows:
         drawn = int(rng.integers(0, max(1, sequence.num_frames - self.frames + 1)))
         start = drawn if first is None else first
         stop = start + self.frames
-        face = self._meshes[mesh]
+        face = self._faces[mesh]
         if self._is_sculpted(face, rng):
             return self._sculpture(mesh, self.corpus.weights(sequence, start, stop), rng)
         moved = self.corpus.vertex_displacements(face.topology, sequence, start, stop)
@@ -123,43 +123,43 @@ class FaceWindows:
         if mesh not in self._of_mesh:
             own = [s for s in self.sampler.sequences if mesh in self._by_key[_key(s)]]
             if not own:
-                face = self._meshes[mesh]
+                face = self._faces[mesh]
                 raise ValueError(f"no sequence moves {face.topology} of identity {face.identity}")
             self._of_mesh[mesh] = SequenceSampler(own, {})
         return self._of_mesh[mesh]
 
     def _find_expressions(self) -> bool:
-        """Looks for prepared faces that show any weights of expressions."""
+        """Looks for faces that show any weights of expressions."""
         found = self.corpus.drawn()
         if found is None or (found[0], -1, "") not in self._by_key:
             return False
         name, self._expressions, self._basis = found
-        self._faces = self._by_key[name, -1, ""]
+        self._expressive = self._by_key[name, -1, ""]
         return True
 
     def _drawn_expressions(self, rng: np.random.Generator) -> Window:
         weights = random_weights(rng, self.frames, len(self._expressions))
-        mesh = self._faces[int(rng.integers(len(self._faces)))]
-        face = self._meshes[mesh]
+        mesh = self._expressive[int(rng.integers(len(self._expressive)))]
+        face = self._faces[mesh]
         if self._is_sculpted(face, rng):
             return self._sculpture(mesh, weights, rng)
         moved = self.corpus.displacements_of(face.topology, weights)
         return self._window(mesh, np.tensordot(weights, self._basis, axes=1), moved)
 
-    def _is_sculpted(self, face: PreparedMesh, rng: np.random.Generator) -> bool:
+    def _is_sculpted(self, face: Face, rng: np.random.Generator) -> bool:
         known = self._sculpts is not None and face.dataset == self._sculpts.dataset
         return known and rng.random() < self._sculpted
 
     def _sculpture(self, mesh: int, weights: FloatArray, rng: np.random.Generator) -> Window:
         """A window of expressions as another sculpt of the face has them."""
         assert self._sculpts is not None
-        face = self._meshes[mesh]
+        face = self._faces[mesh]
         whole = self.corpus.mesh(face.identity, face.topology)
         return self._window(mesh, *self._sculpts.motion(rng, face.topology, whole, weights))
 
     def _window(self, mesh: int, landmarks: npt.NDArray[Any], moved: npt.NDArray[Any]) -> Window:
         """Motion (T, 68, 3) and (T, V, 3) of a face as the corpus has it, on what was made of the face."""
-        face = self._meshes[mesh]
+        face = self._faces[mesh]
         if face.bend is not None:
             whole = self.corpus.mesh(face.identity, face.topology)
             landmarks = face.bend.motion(face.bend.landmarks, landmarks)
@@ -167,7 +167,7 @@ class FaceWindows:
         return Window(mesh, landmarks.astype(np.float32), _left(face, moved.astype(np.float32)))
 
 
-def _left(face: PreparedMesh, displacements: FloatArray) -> FloatArray:
+def _left(face: Face, displacements: FloatArray) -> FloatArray:
     """(T, V', 3) of the vertices that a crop has left, from those of the whole meshing."""
     return displacements if face.kept is None else displacements[:, face.kept]
 

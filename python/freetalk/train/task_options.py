@@ -181,6 +181,8 @@ class StmTaskOptions:
             installed ones (``open-small``); empty starts from random ones.
         operator_cache: folder of the surface operators, which nothing empties; empty takes ``training-operators``
             in the user's cache.
+        operator_memory_gb: memory of training faces with their operators; those used last stay, the others come
+            again from the folder. 0 for no limit.
         frames: consecutive frames of a window.
         num_meshes: (identity, topology) pairs of the train split that are drawn, 0 for all.
         max_vertices: meshings with more vertices are left out of training, 0 for no limit; a dataset
@@ -213,6 +215,7 @@ class StmTaskOptions:
 
     init: str = ""
     operator_cache: str = ""
+    operator_memory_gb: float = 4.0
     frames: int = 12
     num_meshes: int = 0
     max_vertices: int = 0
@@ -236,6 +239,9 @@ class StmTaskOptions:
     def check(self) -> None:
         """Raises ValueError where a value is out of range."""
         require(self.frames >= 3, "task.frames must be at least 3", self.frames)
+        for name in ("operator_memory_gb", "plain_weight"):
+            value = getattr(self, name)
+            require(value >= 0, f"task.{name} must not be negative", value)
         require(0 <= self.scale_range < 1, "task.scale_range must be in [0, 1)", self.scale_range)
         require_shares(self, "crops", "bends", "sculpts")
         require(
@@ -243,7 +249,6 @@ class StmTaskOptions:
             "task.missing_faces must be in [0, 1)",
             self.missing_faces,
         )
-        require(self.plain_weight >= 0, "task.plain_weight must not be negative", self.plain_weight)
         require_positive(self, "lip_weight")
 
 
