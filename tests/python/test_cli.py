@@ -138,6 +138,7 @@ def test_help_is_parsed_without_heavy_imports() -> None:
     assert result.returncode == 0, result.stderr
 
 
+@pytest.mark.slow
 def test_process_ends_with_code_2_and_one_line() -> None:
     command = [sys.executable, "-m", "freetalk.cli", "animate", "--fps", "0"]
     environment = {**os.environ, "PYTHONPATH": str(PYTHON)}

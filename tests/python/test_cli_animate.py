@@ -53,6 +53,7 @@ def talk(room: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_every_output_is_written_at_once(
     room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -127,6 +128,7 @@ def test_without_mesh_the_built_in_face_speaks(
     assert ft.Animation.load(out).vertices.shape == (9409, 3)
 
 
+@pytest.mark.slow
 def test_folders_of_recordings_and_meshes_are_animated(
     room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -167,6 +169,7 @@ def test_unknown_emotion_lists_the_known_ones(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_sampling_options_and_keyframes_reach_the_talker(room: Path, tmp_path: Path) -> None:
     out = tmp_path / "talk.npz"
     emotion = "0=neutral; 0.3=happy:0.7,surprise:0.3@2.5"
@@ -240,6 +243,7 @@ def test_wrong_pose_options_are_refused(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_view_renders_to_files(
     talk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

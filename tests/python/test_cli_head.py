@@ -18,6 +18,7 @@ def run(*arguments: str | Path) -> int:
     return main(["head", *(str(argument) for argument in arguments)])
 
 
+@pytest.mark.slow
 def test_a_sampled_head_is_fitted_and_extracted_again(tmp_path: Path) -> None:
     trained = ball(coefficients=4)
     options = trained.options

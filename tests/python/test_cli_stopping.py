@@ -48,6 +48,7 @@ def test_a_signal_clears_half_written_files_away(
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_the_command_is_silent_while_torch_is_loaded(tmp_path: Path) -> None:
     command = tmp_path / "freetalk"
     command.write_text(

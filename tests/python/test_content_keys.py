@@ -61,6 +61,7 @@ def test_other_content_is_another_import(tmp_path: Path) -> None:
     np.testing.assert_allclose((first - second)[..., 1], 0.001, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_another_flame_is_another_import(tmp_path: Path) -> None:
     directory = write_mead_emote(tmp_path / "mead")
     before = import_dataset("mead", directory, tmp_path / "out")

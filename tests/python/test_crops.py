@@ -28,6 +28,7 @@ def shown(**weights: float) -> Sequence:
     return Sequence(vertices, faces.astype(np.int64), motion.astype(np.float32), 25.0, located=True)
 
 
+@pytest.mark.slow
 def test_crops_show_the_mouth_and_nothing_above() -> None:
     rest, opened = mouth_frames(shown(jawOpen=0.6)).astype(int)
     assert rest.shape == (64, 64, 3) and (rest[..., 0] == rest[..., 1]).all()
@@ -37,6 +38,7 @@ def test_crops_show_the_mouth_and_nothing_above() -> None:
     assert np.abs(raised - still).mean() < 0.2 * np.abs(opened - rest).mean()
 
 
+@pytest.mark.slow
 def test_distance_grows_with_the_difference_of_mouths() -> None:
     rng = np.random.default_rng(0)
 

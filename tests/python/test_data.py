@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import resource
 import signal
 import time
 from collections.abc import Callable
@@ -117,6 +118,23 @@ def test_a_window_of_a_huge_dataset_costs_the_window_alone(tmp_path: Path) -> No
         window = rows.read(first, first + 20)
         assert window.shape == (20, 5023, 3) and window.any() == (first == 150_000)
     assert mapped_kb() - before < 4096  # 200 windows are 120 MB; none stays mapped
+
+
+def test_a_window_is_read_from_the_disk_alone(tmp_path: Path) -> None:
+    path = tmp_path / "rows.npy"
+    values = np.arange(200_000 * 68 * 3, dtype=np.float32).reshape(-1, 68, 3)  # 163 MB
+    np.save(path, values)
+    rows = Rows(path)
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
+        os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_inblock
+    for first in range(5000, 195_000, 10_000):
+        assert np.array_equal(rows.read(first, first + 30), values[first : first + 30])
+    read = 512 * (resource.getrusage(resource.RUSAGE_SELF).ru_inblock - before)
+    assert read < 20 * (30 * rows.dtype.itemsize * 68 * 3 + (1 << 18))
+    with pytest.raises(DatasetError, match="cut short"):
+        rows.read(199_990, 200_010)
 
 
 def test_a_mixture_keeps_each_datasets_meshes_and_frame_rate(layouts: Path, tmp_path: Path) -> None:

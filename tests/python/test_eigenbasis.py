@@ -107,7 +107,7 @@ def _use_cache(folder: str, ready: str, max_bytes: int) -> list[list[float]]:
     torch.set_num_threads(1)
     meshes = [bumpy_grid(12, seed) for seed in range(6)]
     Path(ready, str(os.getpid())).touch()
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 300
     while len(list(Path(ready).iterdir())) < 2 and time.monotonic() < deadline:
         time.sleep(0.01)
     rng = np.random.default_rng(os.getpid())
@@ -134,7 +134,7 @@ def test_cache_is_safe_with_two_processes(tmp_path: Path, kept: float) -> None:
     arguments = (str(tmp_path / "both"), str(tmp_path / "ready"), int(kept * size))
     with multiprocessing.get_context("spawn").Pool(2) as pool:
         jobs = [pool.apply_async(_use_cache, arguments) for _ in range(2)]
-        results = [job.get(timeout=120) for job in jobs]
+        results = [job.get(timeout=600) for job in jobs]  # to load torch takes minutes at times
     for found in results:
         for values, value in zip(found, right):
             assert values == [value] * len(values)  # the same bits, read or computed

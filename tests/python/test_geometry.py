@@ -267,6 +267,7 @@ def test_alignment_recovers_unit_and_pose_of_real_faces(
 
 
 @needs_shared
+@pytest.mark.slow
 def test_alignment_warns_of_a_cow(real_faces: Faces) -> None:
     cow = ft.load_mesh(SHARED / "spot" / "spot.obj")
     alignment = geometry.align_to_template(

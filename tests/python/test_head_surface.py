@@ -43,6 +43,7 @@ def dense_grid(head: PreparedHead, z_exp: Tensor, cells: int) -> np.ndarray:
     return head.canonical_sdf(moved, fade=False).reshape([cells + 1] * 3).numpy()
 
 
+@pytest.mark.slow
 def test_surfaces_are_those_of_the_dense_grid(trained: ParametricHead) -> None:
     """The main part: parts apart from it may be left out where they are smaller than a cell in between."""
     z_id, z_exp = codes(trained, 1)
@@ -69,6 +70,7 @@ def test_two_hundred_codes_give_closed_surfaces(trained: ParametricHead) -> None
         assert_closed(extractor.next(z_exp))
 
 
+@pytest.mark.slow
 def test_frames_of_a_sequence_equal_frames_alone(trained: ParametricHead) -> None:
     """Up to the interpolation of canonical distances, a hundredth of a cell."""
     z_id, z_exp = codes(trained, 4)
@@ -84,6 +86,7 @@ def test_frames_of_a_sequence_equal_frames_alone(trained: ParametricHead) -> Non
             assert np.abs(interpolated.vertices - alone.vertices).mean() < 2e-5
 
 
+@pytest.mark.slow
 def test_surfaces_that_leave_the_box_are_closed_or_refused(trained: ParametricHead) -> None:
     options = trained.options
     options.box_max = [0.55, 0.75, 0.1]  # through the ball

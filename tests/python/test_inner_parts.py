@@ -43,6 +43,7 @@ def test_an_open_face_gets_eyes_and_a_mouth_that_move_as_they_should() -> None:
         assert point[2] < near[before, 2].max() - 0.001
 
 
+@pytest.mark.slow
 def test_lips_that_were_cut_get_teeth_and_closed_ones_none() -> None:
     vertices, faces, marks = sewn_head()
     closed = prepare_mesh(freetalk.Mesh(vertices, faces.tolist()))
@@ -53,6 +54,7 @@ def test_lips_that_were_cut_get_teeth_and_closed_ones_none() -> None:
     assert len(made.mesh.vertices) > len(cut.mesh.vertices) + 9000
 
 
+@pytest.mark.slow
 def test_a_textured_gltf_keeps_its_look_and_gains_parts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

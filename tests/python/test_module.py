@@ -256,6 +256,7 @@ def test_functional_call_computes_with_the_given_tensors_and_differentiates_them
     assert torch.equal(run(model), before)
 
 
+@pytest.mark.slow
 def test_functional_call_in_double_of_a_single_module_passes_gradcheck(model: Ats) -> None:
     given = {name: t.detach().double() for name, t in model.state_dict().items()}
     values = inputs(batch=1, frames=2, dtype=torch.float64)

@@ -84,6 +84,7 @@ def test_a_take_holds_the_heads_motion_in_metres_and_upright() -> None:
     assert "head" not in page.read_take(page.pack_take(quad()))[1]
 
 
+@pytest.mark.slow
 def test_an_opening_jaw_is_seen_as_jaw_open(animation: ft.Animation) -> None:
     sequence = ft.viz.as_sequence(animation)
     marks = page.find_landmarks(sequence)

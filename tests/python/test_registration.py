@@ -55,6 +55,7 @@ def truth(face: ExpressiveFace) -> tuple[np.ndarray, np.ndarray]:
     return identity, weights
 
 
+@pytest.mark.slow
 def test_noisy_partial_scans_are_found_again(face, truth):
     posed = face.posed(*truth)
     made = [scanned(face, own, t) for t, own in enumerate(posed)]
@@ -116,6 +117,7 @@ def test_scans_that_cannot_be_registered_are_refused(face, truth):
         register([Scan(scan.points + 1.0, None, scan.landmarks)], face, options=OPTIONS)
 
 
+@pytest.mark.slow
 def test_command_writes_meshes_in_the_heads_frame(tmp_path: Path, face, truth, capsys):
     posed = face.posed(truth[0], truth[1][:2])
     files = []

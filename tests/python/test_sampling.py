@@ -66,6 +66,7 @@ def test_motion_equals_ddim_over_the_layers_of_training(ats: Ats, features: torc
     assert relative(motion, expected) < 1e-3
 
 
+@pytest.mark.slow
 def test_twenty_steps_of_dpm_solver_equal_a_hundred_of_ddim(
     ats: Ats, features: torch.Tensor
 ) -> None:
@@ -85,6 +86,7 @@ def test_twenty_steps_of_dpm_solver_equal_a_hundred_of_ddim(
     assert relative(motion(num_steps=100, precision="bfloat16"), whole) < 0.03
 
 
+@pytest.mark.slow
 def test_no_seam_shows_in_long_motion(ats: Ats, features: torch.Tensor) -> None:
     """Jerk where windows overlap against elsewhere, over groups of windows and single windows."""
     long = features.repeat(5, 1)  # 55 s
@@ -119,6 +121,7 @@ def test_keyframes_lead_from_one_emotion_to_another(ats: Ats, features: torch.Te
         assert away < 0.75 * (changing[part] - far[part]).norm()
 
 
+@pytest.mark.slow
 def test_guidance_moves_away_from_the_unconditional(ats: Ats, features: torch.Tensor) -> None:
     clip, emotion = features[:90], parse_emotion("angry", ats.options.emotions)
 
@@ -139,6 +142,7 @@ def test_guidance_moves_away_from_the_unconditional(ats: Ats, features: torch.Te
     assert relative(both, motion(affect_guidance=1.25)) > 0.01
 
 
+@pytest.mark.slow
 def test_less_noise_brings_the_mouths_of_two_seeds_together(
     ats: Ats, features: torch.Tensor
 ) -> None:
@@ -163,6 +167,7 @@ def test_less_noise_brings_the_mouths_of_two_seeds_together(
         motion(1.5, 0.0, 0)
 
 
+@pytest.mark.slow
 def test_several_seeds_at_once(ats: Ats, features: torch.Tensor) -> None:
     clip, emotion = features[:200], parse_emotion("happy", ats.options.emotions)
 

@@ -170,6 +170,7 @@ def test_takes_are_downloaded(client: TestClient, take: str, name: str, starts: 
         assert len(zipfile.ZipFile(io.BytesIO(file.content)).namelist()) == 12
 
 
+@pytest.mark.slow
 def test_an_uploaded_character_keeps_its_skeleton(client: TestClient, take: str) -> None:
     """What ``animate`` does with a file: the character's own glTF with the motion added."""
     pygltflib = pytest.importorskip("pygltflib")
@@ -274,6 +275,7 @@ def test_other_meshes_are_refused(
     assert message in answer.json()["error"] and "/tmp" not in answer.json()["error"]
 
 
+@pytest.mark.slow
 def test_a_marked_face_is_where_it_was_marked(client: TestClient, tmp_path: Path) -> None:
     model = load_face_model()
     mesh = small_face()

@@ -48,6 +48,7 @@ def test_nearest_points_are_those_of_libigl(points: NDArray) -> None:
     assert own[1][0] == pytest.approx(distances[0], abs=1e-12)
 
 
+@pytest.mark.slow
 def test_winding_numbers_are_those_of_libigl(points: NDArray) -> None:
     vertices, faces = joined(ball(0.6), ball(0.5, (0.5, 0, 0)))
     faces = faces[:-500]  # a hole

@@ -35,6 +35,7 @@ def closed_head(kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("kind", ["mean", "drawn", "coarse", "fine"])
+@pytest.mark.slow
 def test_a_slit_from_corner_to_corner_leaves_a_manifold(kind: str) -> None:
     vertices, faces, marks = closed_head(kind)
     scan = freetalk.Mesh(vertices, faces.tolist(), name="scan")
@@ -68,6 +69,7 @@ def test_lips_that_are_apart_stay_as_they_are() -> None:
     assert open_lips(prepared, Similarity(), marks) is prepared
 
 
+@pytest.mark.slow
 def test_texture_coordinates_stay_in_place() -> None:
     vertices, faces, marks = sewn_head()
     drawn = vertices[:, :2]
@@ -95,6 +97,7 @@ def _pocket_size(vertices: np.ndarray, faces: np.ndarray, marks: np.ndarray) -> 
     return with_pocket - without
 
 
+@pytest.mark.slow
 def test_the_command_cuts_and_keeps_materials_and_colours(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -27,6 +27,7 @@ def random_operator(
 
 @pytest.mark.parametrize("index", [torch.int32, torch.int64])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.slow
 def test_the_operation_passes_torchs_checks(dtype: torch.dtype, index: torch.dtype) -> None:
     """Schema, autograd, fake tensors and tracing with dynamic shapes."""
     torch.manual_seed(0)
@@ -115,6 +116,7 @@ class _UsersNetwork(nn.Module):
         return torch.tanh(PRODUCT(*self.matrix, self.linear(x))).square().sum(-1)
 
 
+@pytest.mark.slow
 def test_a_users_network_compiles_into_one_graph() -> None:
     """fullgraph=True raises at a graph break; forward, backward and another batch size agree."""
     torch.manual_seed(6)

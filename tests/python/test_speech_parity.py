@@ -143,6 +143,7 @@ STABLE = {"feat_extract_norm": "layer", "do_stable_layer_norm": True, "conv_bias
     ],
     ids=["hubert_base", "hubert_large", "wav2vec2_base", "wav2vec2_large", "wav2vec2_large_lv60"],
 )
+@pytest.mark.slow
 def test_published_widths_equal_transformers(kind: str, fields: dict[str, Any]) -> None:
     names = {
         "hubert": ("HubertConfig", "HubertModel"),

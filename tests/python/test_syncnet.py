@@ -42,6 +42,7 @@ def test_layout_is_the_public_one(weights: Path) -> None:
     assert {name: shapes.get(name) for name in known} == known
 
 
+@pytest.mark.slow
 def test_a_clip_has_a_distance(weights: Path) -> None:
     net = SyncNet.from_file(weights)
     rng = np.random.default_rng(0)

@@ -26,6 +26,7 @@ def corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_mini_corpus(tmp_path_factory.mktemp("tables") / "corpus")
 
 
+@pytest.mark.slow
 def test_rows_are_trained_and_judged(corpus: Path, tmp_path: Path) -> None:
     arguments = ["--size=tiny", f"--work={tmp_path / 'work'}", f"--out={tmp_path / 'out'}"]
     arguments += [f"--data={name}={corpus}" for name in NEUTRAL]

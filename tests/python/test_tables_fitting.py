@@ -23,6 +23,7 @@ def test_autocorrelation_tells_noise_from_motion() -> None:
     assert abs(fitting.autocorrelation(rng.normal(size=(400, 3)))[1]) < 0.06
 
 
+@pytest.mark.slow
 def test_table_is_made(corpus: Path, tmp_path: Path) -> None:  # noqa: F811
     model = head()
     model.save_pretrained(tmp_path / "head")

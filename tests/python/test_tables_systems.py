@@ -20,6 +20,7 @@ def task(tmp_path_factory: pytest.TempPathFactory) -> SystemsTask:
     return SystemsTask(corpus, 2, 9, dct_features, scores=scores)
 
 
+@pytest.mark.slow
 def test_the_truth_has_no_error_and_a_still_face_has(task: SystemsTask) -> None:
     truth, still = task.judged(task.truth), task.judged(task.still)
     assert truth["fid"] == pytest.approx(0, abs=1e-9) and truth["lve"] == 0
@@ -29,6 +30,7 @@ def test_the_truth_has_no_error_and_a_still_face_has(task: SystemsTask) -> None:
     assert "| still face | " in table and "| – |" in table and "| FID | KID |" in table
 
 
+@pytest.mark.slow
 def test_predictions_are_read(task: SystemsTask, tmp_path: Path) -> None:
     for clip in task.clips:
         np.save(tmp_path / f"{clip.id}.npy", 0.5 * task.truth(clip))

@@ -60,6 +60,7 @@ def voice(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_an_identity_speaks_on_its_own_surface(
     talker: freetalk.Talker, head: ParametricHead, voice: Path
 ) -> None:
@@ -81,6 +82,7 @@ def test_an_identity_speaks_on_its_own_surface(
     assert len(other.mesh.vertices) != len(face.mesh.vertices)
 
 
+@pytest.mark.slow
 def test_the_motion_is_the_deformation_of_solved_weights(
     talker: freetalk.Talker, head: ParametricHead, voice: Path
 ) -> None:
@@ -106,6 +108,7 @@ def test_the_motion_is_the_deformation_of_solved_weights(
     assert found > 0.8
 
 
+@pytest.mark.slow
 def test_a_mesh_is_moved_by_the_head_that_fits_it(
     talker: freetalk.Talker, head: ParametricHead, voice: Path
 ) -> None:
@@ -124,6 +127,7 @@ def test_a_mesh_is_moved_by_the_head_that_fits_it(
     assert np.isfinite(moved).all() and np.abs(moved).max() > 1e-5
 
 
+@pytest.mark.slow
 def test_one_command(weights: Path, head: ParametricHead, voice: Path, tmp_path: Path) -> None:
     common = ["animate", "--pretrained", str(weights), "--engine", "head", "--audio", str(voice)]
     out = tmp_path / "talk.npz"
@@ -160,6 +164,7 @@ def test_what_is_no_identity(
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_a_folder_without_what_a_head_needs_is_refused(
     weights: Path, tmp_path: Path, talker: freetalk.Talker
 ) -> None:

@@ -47,6 +47,7 @@ def on_a_stick() -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([vertices, rod]), np.concatenate([faces, np.array(quads) + len(vertices)])
 
 
+@pytest.mark.slow
 def test_a_face_that_is_told_speaks_in_the_meshs_own_pose(
     talker: freetalk.Talker, speech: freetalk.Audio
 ) -> None:
@@ -115,6 +116,7 @@ def test_landmarks_that_are_none_are_an_error(
         )
 
 
+@pytest.mark.slow
 def test_what_is_no_face_is_refused_unless_told(
     talker: freetalk.Talker, monkeypatch: pytest.MonkeyPatch
 ) -> None:

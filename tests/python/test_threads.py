@@ -25,6 +25,7 @@ with open("/proc/self/maps") as maps:
 
 
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="needs /proc/self/maps")
+@pytest.mark.slow
 def test_the_process_has_one_openmp_runtime() -> None:
     # A fresh interpreter: other packages that the tests import may bring a runtime of their own.
     result = subprocess.run(

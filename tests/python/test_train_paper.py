@@ -182,6 +182,7 @@ def test_short_sequences_train_every_position(corpus: Path, tmp_path: Path) -> N
         assert int((gradient.abs().sum(dim=1) > 0).sum()) <= reached
 
 
+@pytest.mark.slow
 def test_weights_know_the_longest_window_they_were_shown(corpus: Path, tmp_path: Path) -> None:
     base = [*options("ats"), "loop.epochs=0", "loop.max_steps=1", "loop.batch_size=2"]
     for out, length in ((tmp_path / "short", 40), (tmp_path / "long", 300)):

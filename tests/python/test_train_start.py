@@ -146,6 +146,7 @@ def test_ctrl_c_exits_as_the_shell_expects(
 # Schedules
 
 
+@pytest.mark.slow
 def test_the_learning_rate_follows_the_clock_only_when_asked(
     corpus: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -244,6 +245,7 @@ TINY = {
 LINES = re.findall(r"^freetalk train (\w+) --config (\S+) --data corpus --out (\S+)$", README, re.M)
 
 
+@pytest.mark.slow
 def test_every_line_of_the_readme_takes_a_plain_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

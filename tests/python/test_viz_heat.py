@@ -56,6 +56,7 @@ def test_a_sheet_has_a_panel_for_each_image(tmp_path: Path) -> None:
         viz.heat_sheet([panel], [], tmp_path / "x.png", (0.0, 1.0), "mm")
 
 
+@pytest.mark.slow
 def test_figures_draw_errors_and_attention(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from mini_corpus import write_mini_corpus
 

@@ -81,6 +81,7 @@ def test_acted_voices_show_and_an_even_reader_does_not() -> None:
     assert summary(silent) == "1.0 s neutral"
 
 
+@pytest.mark.slow
 def test_auto_is_the_emotion_that_was_read() -> None:
     talker = ft.Talker.from_pretrained("open-small")
     sound = angry()[0]

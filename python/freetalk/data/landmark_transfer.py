@@ -17,6 +17,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from freetalk import geometry
+from freetalk.data.triangles import closest_on_triangles
 from freetalk.mesh import vertex_normals
 
 Points = npt.NDArray[np.float64]
@@ -216,38 +217,12 @@ def on_surface(
         offset = np.square(vertices[used] - point).sum(axis=1)
         cost = offset + _NORMAL_COST_M**2 * (1 - own[used] @ direction)
         around = np.flatnonzero((triangles == used[cost.argmin()]).any(axis=1))
-        weights = _nearest_in(vertices[triangles[around]], point)
-        places = np.einsum("fcd,fc->fd", vertices[triangles[around]], weights)
-        chosen = int(np.square(places - point).sum(axis=1).argmin())
+        weights, away = closest_on_triangles(point, vertices[triangles[around]])
+        chosen = int(away.argmin())
         best[number], shares[number] = around[chosen], weights[chosen]
     corners = triangles[best]
     indices = corners[np.arange(len(best)), shares.argmax(axis=1)]
     return best, shares, indices, np.einsum("ncd,nc->nd", vertices[corners], shares)
-
-
-def _nearest_in(corners: Points, point: Points) -> Points:
-    """(F, 3) barycentric weights of the places in triangles (F, 3, 3) nearest to a point (3,)."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    ab, ac, ap = b - a, c - a, point - a
-    d00, d01, d11 = (ab * ab).sum(1), (ab * ac).sum(1), (ac * ac).sum(1)
-    d20, d21 = (ap * ab).sum(1), (ap * ac).sum(1)
-    area = np.maximum(d00 * d11 - d01**2, 1e-30)
-    v, w = (d11 * d20 - d01 * d21) / area, (d00 * d21 - d01 * d20) / area
-    inside = np.stack([1 - v - w, v, w], axis=1)
-    inside[(inside < 0).any(axis=1)] = np.nan
-    candidates = [inside]
-    for first, second in ((0, 1), (1, 2), (2, 0)):
-        side = corners[:, second] - corners[:, first]
-        along = ((point - corners[:, first]) * side).sum(1) / np.maximum((side**2).sum(1), 1e-30)
-        along = np.clip(along, 0.0, 1.0)
-        weights = np.zeros((len(corners), 3))
-        weights[:, first], weights[:, second] = 1 - along, along
-        candidates.append(weights)
-    stack = np.stack(candidates)  # (4, F, 3)
-    places = np.einsum("kfc,fcd->kfd", stack, corners)
-    distance = np.square(places - point).sum(axis=2)
-    chosen = np.where(np.isnan(distance), np.inf, distance).argmin(axis=0)
-    return np.asarray(stack[chosen, np.arange(len(corners))])
 
 
 def _moves(points: Points, modes: Points) -> Points:

@@ -46,7 +46,7 @@ Array = npt.NDArray[Any]
 
 
 class Rows:
-    """Rows of an ``.npy`` file, mapped for each read and never kept, so that memory stays that of the rows.
+    """Rows of an ``.npy`` file, read when they are asked for; a mapped one would be read ahead by megabytes a window.
 
     Args:
         path: the file.
@@ -64,20 +64,10 @@ class Rows:
             raise DatasetError(f"{path} is no readable array ({error})") from error
         self.path, self.shape, self.dtype = path, tuple(array.shape), array.dtype
         self._offset = int(getattr(array, "offset", 0))
-        self._row_bytes = array.dtype.itemsize * int(np.prod(self.shape[1:], dtype=np.int64))
 
     def read(self, first: int, stop: int) -> Array:
-        """Rows [first, stop), a copy."""
-        if stop <= first:
-            return np.zeros((0, *self.shape[1:]), self.dtype)
-        mapped = np.memmap(
-            self.path,
-            self.dtype,
-            "r",
-            self._offset + first * self._row_bytes,
-            (stop - first, *self.shape[1:]),
-        )
-        return np.array(mapped)
+        """Rows [first, stop)."""
+        return read_rows(self.path, first, stop, self.dtype, self.shape[1:], self._offset)
 
 
 class Meshing:
@@ -209,6 +199,39 @@ class Pack:
                     f"{rows.path} has shape {rows.shape}, the manifest needs {wanted} rows: it is cut short, or "
                     "of another dataset"
                 )
+
+
+def read_rows(
+    path: Path,
+    first: int,
+    stop: int,
+    dtype: npt.DTypeLike,
+    row_shape: tuple[int, ...],
+    offset: int = 0,
+) -> Array:
+    """Rows [first, stop) of a file, and no more: a mapped window would be read ahead by megabytes.
+
+    Args:
+        path: the file.
+        first: the first row.
+        stop: the row after the last.
+        dtype: of the numbers.
+        row_shape: of a row.
+        offset: bytes before the first row of the file.
+
+    Raises:
+        DatasetError: the file ends before.
+    """
+    found = np.empty((max(0, stop - first), *row_shape), dtype)
+    left = found.reshape(-1).view(np.uint8).data
+    with path.open("rb", buffering=0) as file:
+        file.seek(offset + first * (found.nbytes // max(len(found), 1)))
+        while left:
+            count = file.readinto(left)
+            if not count:
+                raise DatasetError(f"{path} has no rows {first} to {stop}: it is cut short")
+            left = left[count:]
+    return found
 
 
 def _arrays(path: Path) -> dict[str, Array]:

@@ -30,6 +30,7 @@ from freetalk.data.bounded_steps import (
     with_held,
 )
 from freetalk.data.expressive_faces import ExpressiveFace
+from freetalk.data.triangles import closest_on_triangles
 from freetalk.geometry import SurfaceTree
 
 Points = npt.NDArray[np.float64]
@@ -277,7 +278,7 @@ class _Solver:
         if kept.sum() < _LEAST_POINTS:
             return total
         corners, nearest, normals = self._faces[triangle[kept]], nearest[kept], normals[kept]
-        shares = _barycentric(posed[corners], nearest).astype(np.float32)
+        shares = closest_on_triangles(nearest, posed[corners])[0].astype(np.float32)
         moves = np.einsum("nkdx,nk->ndx", basis[corners], shares)
         trust = _robust(distance[kept], np.full(len(corners), reach / 2))
         trust = trust * min(1.0, _INDEPENDENT / len(chosen)) / self.options.noise_m**2
@@ -329,17 +330,6 @@ def _robust(distance: Points, width: Points) -> Points:
     """Geman-McClure's weights."""
     weights: Points = 1 / np.square(1 + np.square(distance / width))
     return weights
-
-
-def _barycentric(corners: Points, points: Points) -> Points:
-    """(N, 3) shares of points (N, 3) in triangles (N, 3, 3) that they lie on."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    ab, ac, ap = b - a, c - a, points - a
-    d00, d01, d11 = (ab * ab).sum(1), (ab * ac).sum(1), (ac * ac).sum(1)
-    d20, d21 = (ap * ab).sum(1), (ap * ac).sum(1)
-    area = np.maximum(d00 * d11 - d01**2, 1e-30)
-    v, w = (d11 * d20 - d01 * d21) / area, (d00 * d21 - d01 * d20) / area
-    return np.clip(np.stack([1 - v - w, v, w], axis=1), 0, 1)
 
 
 def _initial_poses(scans: list[Scan], face: ExpressiveFace) -> tuple[Points, Points]:

@@ -93,177 +93,68 @@ def vertex_metric(
     return result[0] if single else result
 
 
-def _documented(function: Callable[..., torch.Tensor]) -> Callable[..., torch.Tensor]:
-    """Completes a docstring with formula, unit and source as the registry states them."""
-    info = METRICS[function.__name__]
-    more = _TARGET_VALID if "target_valid" in function.__annotations__ else ""
+def _metric(name: str) -> Callable[..., torch.Tensor]:
+    """A metric of the registry as a function, with formula, unit and source as the registry states them."""
+
+    def paired(
+        pred: Array, target: Array, *, vertices: Array | None = None, valid: Array | None = None
+    ) -> torch.Tensor:
+        return vertex_metric(name, pred, target, vertices=vertices, valid=valid)
+
+    def warped(
+        pred: Array,
+        target: Array,
+        *,
+        vertices: Array | None = None,
+        valid: Array | None = None,
+        target_valid: Array | None = None,
+    ) -> torch.Tensor:
+        return vertex_metric(
+            name, pred, target, vertices=vertices, valid=valid, target_valid=target_valid
+        )
+
+    info, warps = METRICS[name], name.startswith(("dtw", "dfd"))
+    function = warped if warps else paired
     unit = "without unit" if info.unit == "1" else f"{info.unit} for motion in metres"
+    more = _TARGET_VALID if warps else ""
     arguments = _ARGUMENTS.format(mask=_MASKS[info.mask], more=more, unit=unit, source=info.source)
-    function.__doc__ = f"{function.__doc__}\n\n    {info.formula}\n{arguments}"
+    function.__doc__ = f"{info.title}: {info.formula}\n{arguments}"
+    function.__name__ = function.__qualname__ = name
     return function
 
 
-@_documented
-def lve(
-    pred: Array, target: Array, *, vertices: Array | None = None, valid: Array | None = None
-) -> torch.Tensor:
-    """Lip vertex error: the mean over frames of the greatest *squared* error of the lips."""
-    return vertex_metric("lve", pred, target, vertices=vertices, valid=valid)
-
-
-@_documented
-def lve_l2(
-    pred: Array, target: Array, *, vertices: Array | None = None, valid: Array | None = None
-) -> torch.Tensor:
-    """Lip vertex error, not squared."""
-    return vertex_metric("lve_l2", pred, target, vertices=vertices, valid=valid)
-
-
-@_documented
-def mve_mean(
-    pred: Array, target: Array, *, vertices: Array | None = None, valid: Array | None = None
-) -> torch.Tensor:
-    """Mean vertex error: what public code and the papers' tables call MVE."""
-    return vertex_metric("mve_mean", pred, target, vertices=vertices, valid=valid)
-
-
-@_documented
-def mve_max(
-    pred: Array, target: Array, *, vertices: Array | None = None, valid: Array | None = None
-) -> torch.Tensor:
-    """Max vertex error: the MVE of FreeTalk's text."""
-    return vertex_metric("mve_max", pred, target, vertices=vertices, valid=valid)
-
-
-@_documented
-def fdd(
-    pred: Array, target: Array, *, vertices: Array | None = None, valid: Array | None = None
-) -> torch.Tensor:
-    """Upper-face dynamic deviation, signed: above 0, the prediction moves too little."""
-    return vertex_metric("fdd", pred, target, vertices=vertices, valid=valid)
-
-
-@_documented
-def fdd_abs(
-    pred: Array, target: Array, *, vertices: Array | None = None, valid: Array | None = None
-) -> torch.Tensor:
-    """Upper-face dynamic deviation without its sign."""
-    return vertex_metric("fdd_abs", pred, target, vertices=vertices, valid=valid)
-
-
-@_documented
-def dtw(
-    pred: Array,
-    target: Array,
-    *,
-    vertices: Array | None = None,
-    valid: Array | None = None,
-    target_valid: Array | None = None,
-) -> torch.Tensor:
-    """Dynamic time warping of the lips' trajectories, per frame of the ground truth."""
-    return vertex_metric(
-        "dtw", pred, target, vertices=vertices, valid=valid, target_valid=target_valid
-    )
-
-
-@_documented
-def dtw_sum(
-    pred: Array,
-    target: Array,
-    *,
-    vertices: Array | None = None,
-    valid: Array | None = None,
-    target_valid: Array | None = None,
-) -> torch.Tensor:
-    """Dynamic time warping, summed along the path; grows with the length."""
-    return vertex_metric(
-        "dtw_sum", pred, target, vertices=vertices, valid=valid, target_valid=target_valid
-    )
-
-
-@_documented
-def dtw_vertex(
-    pred: Array,
-    target: Array,
-    *,
-    vertices: Array | None = None,
-    valid: Array | None = None,
-    target_valid: Array | None = None,
-) -> torch.Tensor:
-    """Dynamic time warping of each vertex by itself."""
-    return vertex_metric(
-        "dtw_vertex", pred, target, vertices=vertices, valid=valid, target_valid=target_valid
-    )
-
-
-@_documented
-def dfd(
-    pred: Array,
-    target: Array,
-    *,
-    vertices: Array | None = None,
-    valid: Array | None = None,
-    target_valid: Array | None = None,
-) -> torch.Tensor:
-    """Discrete Fréchet distance of the lips' trajectories."""
-    return vertex_metric(
-        "dfd", pred, target, vertices=vertices, valid=valid, target_valid=target_valid
-    )
-
-
-@_documented
-def dfd_vertex(
-    pred: Array,
-    target: Array,
-    *,
-    vertices: Array | None = None,
-    valid: Array | None = None,
-    target_valid: Array | None = None,
-) -> torch.Tensor:
-    """Discrete Fréchet distance of each vertex by itself."""
-    return vertex_metric(
-        "dfd_vertex", pred, target, vertices=vertices, valid=valid, target_valid=target_valid
-    )
-
-
-@_documented
-def delta_m(
-    pred: Array, target: Array, *, vertices: Array | None = None, valid: Array | None = None
-) -> torch.Tensor:
-    """Mean squared displacement error: squared difference of the steps from frame to frame."""
-    return vertex_metric("delta_m", pred, target, vertices=vertices, valid=valid)
-
-
-@_documented
-def delta_m_l2(
-    pred: Array, target: Array, *, vertices: Array | None = None, valid: Array | None = None
-) -> torch.Tensor:
-    """Displacement error, not squared."""
-    return vertex_metric("delta_m_l2", pred, target, vertices=vertices, valid=valid)
-
-
-@_documented
-def delta_cd(
-    pred: Array, target: Array, *, vertices: Array | None = None, valid: Array | None = None
-) -> torch.Tensor:
-    """Cosine displacement error, 0 to 2; 1 where one step alone is 0, about 1 where it is noise."""
-    return vertex_metric("delta_cd", pred, target, vertices=vertices, valid=valid)
-
-
-@_documented
-def delta_cd_weighted(
-    pred: Array, target: Array, *, vertices: Array | None = None, valid: Array | None = None
-) -> torch.Tensor:
-    """Cosine displacement error in which each step counts by its true length; 0 if nothing moves."""
-    return vertex_metric("delta_cd_weighted", pred, target, vertices=vertices, valid=valid)
-
-
-@_documented
-def jitter_ratio(
-    pred: Array, target: Array, *, vertices: Array | None = None, valid: Array | None = None
-) -> torch.Tensor:
-    """Jitter: the prediction's jerk energy over the ground truth's; 1 is equally smooth."""
-    return vertex_metric("jitter_ratio", pred, target, vertices=vertices, valid=valid)
+lve = _metric("lve")
+"""Lip vertex error: the mean over frames of the greatest *squared* error of the lips."""
+lve_l2 = _metric("lve_l2")
+"""Lip vertex error, not squared."""
+mve_mean = _metric("mve_mean")
+"""Mean vertex error: what public code and the papers' tables call MVE."""
+mve_max = _metric("mve_max")
+"""Max vertex error: the MVE of FreeTalk's text."""
+fdd = _metric("fdd")
+"""Upper-face dynamic deviation, signed: above 0, the prediction moves too little."""
+fdd_abs = _metric("fdd_abs")
+"""Upper-face dynamic deviation without its sign."""
+dtw = _metric("dtw")
+"""Dynamic time warping of the lips' trajectories, per frame of the ground truth."""
+dtw_sum = _metric("dtw_sum")
+"""Dynamic time warping, summed along the path; grows with the length."""
+dtw_vertex = _metric("dtw_vertex")
+"""Dynamic time warping of each vertex by itself."""
+dfd = _metric("dfd")
+"""Discrete Fréchet distance of the lips' trajectories."""
+dfd_vertex = _metric("dfd_vertex")
+"""Discrete Fréchet distance of each vertex by itself."""
+delta_m = _metric("delta_m")
+"""Mean squared displacement error: squared difference of the steps from frame to frame."""
+delta_m_l2 = _metric("delta_m_l2")
+"""Displacement error, not squared."""
+delta_cd = _metric("delta_cd")
+"""Cosine displacement error, 0 to 2; 1 where one step alone is 0, about 1 where it is noise."""
+delta_cd_weighted = _metric("delta_cd_weighted")
+"""Cosine displacement error in which each step counts by its true length; 0 if nothing moves."""
+jitter_ratio = _metric("jitter_ratio")
+"""Jitter: the prediction's jerk energy over the ground truth's; 1 is equally smooth."""
 
 
 def jerk_energy(

@@ -1,4 +1,4 @@
-"""Speech features of every sequence, computed once and kept on disk as one memory-mapped array."""
+"""Speech features of every sequence, computed once and kept on disk as one array."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from tqdm import tqdm
 
 from freetalk._files import replacing, write_json
 from freetalk.data import Dataset, MotionSequence
+from freetalk.data.pack import read_rows
 from freetalk.speech import EncodeOptions, SpeechEncoder, encode_speech
 from freetalk.train.augment import augment_wave, change_speed, change_voice
 
@@ -86,9 +87,7 @@ class FeatureCache:
             name: [FeatureCopy(*copy) for copy in copies]
             for name, copies in index["copies"].items()
         }
-        shape = (int(index["rows"]), int(index["width"]))
-        self._array = np.memmap(path / "features.f16", dtype=np.float16, mode="r", shape=shape)
-        self.width = shape[1]
+        self._file, self.width = path / "features.f16", int(index["width"])
         self.mean = np.array(index["mean"], dtype=np.float32)  # (C,)
         self.spread = np.array(index["spread"], dtype=np.float32)  # (C,)
 
@@ -98,8 +97,8 @@ class FeatureCache:
 
     def features(self, copy: FeatureCopy, start: int, stop: int) -> npt.NDArray[np.float32]:
         """Features of frames [start, stop) of a rendering, (T, C)."""
-        stop = min(stop, copy.num_frames)
-        return np.array(self._array[copy.start + start : copy.start + stop], dtype=np.float32)
+        first, end = copy.start + start, copy.start + min(stop, copy.num_frames)
+        return read_rows(self._file, first, end, np.float16, (self.width,)).astype(np.float32)
 
     def altered(
         self,
@@ -183,7 +182,6 @@ def _compute(
     spread = np.sqrt(np.maximum(square - np.square(mean), 0))
     index = {
         "copies": copies,
-        "rows": total,
         "width": width,
         "mean": mean.tolist(),
         "spread": spread.tolist(),
