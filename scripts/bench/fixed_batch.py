@@ -19,10 +19,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from accelerate.utils import send_to_device
 
 from freetalk.data import open_datasets
 from freetalk.train import load_config
-from freetalk.train.engine import choose_device, moved
+from freetalk.train.engine import choose_device
 from freetalk.train.run import make_task
 from freetalk.train.sequences import Epochs
 from freetalk.train.weights import parameter_groups
@@ -56,7 +57,7 @@ def main() -> int:
         task = make_task(config, open_datasets(given.data), Path(out), device)
         numbers = turn_by_turn(task.epochs, given.batch)
         items = [task.item(np.random.default_rng(number), number) for _, number in numbers]
-        batch = moved(task.collate(items), device)
+        batch = send_to_device(task.collate(items), device)
     size = sum(parameter.numel() for parameter in task.model.parameters())
     print(f"{given.kind}: {size / 1e6:.1f} M weights, items of {[name for name, _ in numbers]}")
     groups = parameter_groups(task.model, config.loop.weight_decay)

@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from accelerate.utils import send_to_device
 from torch import Tensor
 from train_reference import PlainAts, PlainStm
 
@@ -34,7 +35,7 @@ from freetalk.diffusion import Schedule
 from freetalk.geometry import surface_operators
 from freetalk.stm import Stm, StmOptions
 from freetalk.train.config import TrainingConfig, load_config
-from freetalk.train.engine import Engine, moved
+from freetalk.train.engine import Engine
 from freetalk.train.loop import Trainer
 from freetalk.train.losses import motion_loss
 
@@ -146,7 +147,7 @@ def plain_step(task: Any, config: TrainingConfig, compiled: bool) -> Step:
         model.parameters(), lr=loop.learning_rate, weight_decay=loop.weight_decay
     )
     items = [task.item(np.random.default_rng([loop.seed, 0, i]), i) for i in range(loop.batch_size)]
-    batch = moved(task.collate(items), device)
+    batch = send_to_device(task.collate(items), device)
     if compiled:
         task.model = torch.compile(model)
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from accelerate.utils import send_to_device
 from device_mode import DEVICE, DeviceMode, DeviceTensor, MixedDevicesError, on_host
 from mini_corpus import write_mini_corpus
 from test_autocast import KINDS, SMALL, away_from_zero
@@ -30,7 +31,6 @@ from freetalk.nn import DiffusionNet, PoissonNet
 from freetalk.speech import FeatureAdapter, SpeechEncoder, encode_speech
 from freetalk.stm import Stm
 from freetalk.train import load_config
-from freetalk.train.engine import moved
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 ENCODER: dict[str, Any] = {
@@ -426,7 +426,7 @@ def test_training_tasks_run_on_the_device(
     generator = torch.Generator().manual_seed(0)
     expected = host.loss(batch, generator)
     expected["loss"].backward()
-    found = device.loss(moved(batch, DEVICE), generator)
+    found = device.loss(send_to_device(batch, DEVICE), generator)
     found["loss"].backward()
     for name, value in expected.items():
         assert_same(found[name], value, 1e-4)

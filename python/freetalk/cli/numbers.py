@@ -4,70 +4,43 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Callable
+from typing import TypeVar
+
+_Number = TypeVar("_Number", int, float)
 
 
-def number(text: str) -> float:
-    """A number; NaN, which no range holds, where the text is none."""
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
+def _reader(
+    read: Callable[[str], _Number], fits: Callable[[_Number], bool], complaint: str
+) -> Callable[[str], _Number]:
+    """A reader of numbers that fit; of others, and of what is none, it complains."""
+
+    def reader(text: str) -> _Number:
+        try:
+            value = read(text)
+            if fits(value):
+                return value
+        except ValueError:
+            pass
+        raise argparse.ArgumentTypeError(f"'{text}' {complaint}")
+
+    return reader
 
 
-def positive(text: str) -> float:
-    """A finite number above 0."""
-    value = number(text)
-    if not (math.isfinite(value) and value > 0):
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number above 0")
-    return value
-
-
-def at_least_one(text: str) -> float:
-    """A finite number of at least 1; how strong an emotion may be is for the weights to say."""
-    value = number(text)
-    if not (math.isfinite(value) and value >= 1):
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number of at least 1 (slight)")
-    return value
-
-
-def tolerance(text: str) -> float:
-    """A finite number of at least 0."""
-    value = number(text)
-    if not (math.isfinite(value) and value >= 0):
-        raise argparse.ArgumentTypeError(f"'{text}' is no tolerance: give millimetres, 0 for none")
-    return value
-
-
-def temperature(text: str) -> float:
-    """A number from 0 to 1."""
-    value = number(text)
-    if not 0 <= value <= 1:
-        raise argparse.ArgumentTypeError(f"'{text}' is no temperature: give a number from 0 to 1")
-    return value
-
-
-def articulation(text: str) -> float:
-    """A number from 0.5 to 1.5."""
-    value = number(text)
-    if not 0.5 <= value <= 1.5:
-        raise argparse.ArgumentTypeError(
-            f"'{text}' is no articulation: give 0.5 to 1.5, 1 is usual"
-        )
-    return value
-
-
-def natural(text: str) -> int:
-    """A whole number above 0."""
-    if not text.isdecimal() or int(text) == 0:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number above 0")
-    return int(text)
-
-
-def seed(text: str) -> int:
-    """A whole number from 0 to 2^63 - 1."""
-    if not text.isdecimal() or int(text) >= 2**63:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 0 to 2^63 - 1")
-    return int(text)
+positive = _reader(float, lambda x: 0 < x < math.inf, "is not a number above 0")
+at_least_one = _reader(
+    float, lambda x: 1 <= x < math.inf, "is not a number of at least 1 (slight)"
+)  # how strong an emotion may be is for the weights to say
+tolerance = _reader(
+    float, lambda x: 0 <= x < math.inf, "is no tolerance: give millimetres, 0 for none"
+)
+temperature = _reader(float, lambda x: 0 <= x <= 1, "is no temperature: give a number from 0 to 1")
+articulation = _reader(
+    float, lambda x: 0.5 <= x <= 1.5, "is no articulation: give 0.5 to 1.5, 1 is usual"
+)
+share = _reader(float, lambda x: 0 < x < 1, "is not a number between 0 and 1")
+natural = _reader(int, lambda n: n > 0, "is not a whole number above 0")
+seed = _reader(int, lambda n: 0 <= n < 2**63, "is not a whole number from 0 to 2^63 - 1")
 
 
 def picture_size(text: str) -> tuple[int, int]:

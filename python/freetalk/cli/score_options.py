@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from freetalk.cli.motion_options import DEFAULT_WEIGHTS, add_device, add_diffusion
-from freetalk.cli.numbers import natural, seed
+from freetalk.cli.numbers import natural, seed, share
 
 AXES = {
     "+x": (1.0, 0.0, 0.0),
@@ -16,17 +16,6 @@ AXES = {
     "-z": (0.0, 0.0, -1.0),
 }
 KINDS = ("auto", "vertices", "displacements")
-
-
-def share(text: str) -> float:
-    """A number between 0 and 1, both excluded."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value < 1:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number between 0 and 1")
-    return value
 
 
 def add_predict(parser: argparse.ArgumentParser) -> None:

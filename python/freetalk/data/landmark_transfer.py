@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from freetalk import geometry
-from freetalk.data.triangles import closest_on_triangles
+from freetalk.data.triangles import Places, closest_on_triangles
 from freetalk.mesh import vertex_normals
 
 Points = npt.NDArray[np.float64]
@@ -55,25 +55,16 @@ class LinearFace:
 
 
 @dataclass(frozen=True)
-class Anchors:
+class Anchors(Places):
     """Points of the template whose places on the model are known.
 
     Attributes:
-        vertices: (N, 3) corners of the model's triangle that each lies on.
-        weights: (N, 3) barycentric, sum 1.
         positions: (N, 3) on the template, m.
         deviation_m: (N,) how far off they may be.
     """
 
-    vertices: npt.NDArray[np.int64]
-    weights: Points
     positions: Points
     deviation_m: Points
-
-    def of(self, points: npt.NDArray[Any]) -> Points:
-        """(..., N, 3) of the model's vertices (..., V, 3)."""
-        corners = np.asarray(points, dtype=np.float64)[..., self.vertices, :]
-        return np.asarray(np.einsum("...kcd,kc->...kd", corners, self.weights))
 
 
 @dataclass(frozen=True)

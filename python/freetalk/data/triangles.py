@@ -1,13 +1,32 @@
-"""The places of triangles that are nearest to points."""
+"""Places on triangles: by their corners and shares, and those nearest to points."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 Points = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Places:
+    """Points that lie on the triangles of a meshing.
+
+    Attributes:
+        vertices: (N, 3) corners of the triangle that each lies on.
+        weights: (N, 3) barycentric, sum 1.
+    """
+
+    vertices: npt.NDArray[np.int64]
+    weights: Points
+
+    def of(self, values: npt.NDArray[Any]) -> Points:
+        """(..., N, C) of values (..., V, C) at the vertices."""
+        corners = np.asarray(values, dtype=np.float64)[..., self.vertices, :]
+        return np.asarray(np.einsum("...kcd,kc->...kd", corners, self.weights))
 
 
 def closest_on_triangles(

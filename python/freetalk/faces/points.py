@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from freetalk.corpus.assets import load_face_model
+from freetalk.data.triangles import Places
 
 Points = NDArray[np.float64]
 
@@ -20,24 +21,15 @@ FILE = Path(__file__).with_name("points.npz")
 
 
 @dataclass(frozen=True)
-class FacePoints:
+class FacePoints(Places):
     """MediaPipe's 468 points as places on the ICT face.
 
     Attributes:
-        vertices: (468, 3) corners of the triangle each lies on, vertices of the face model.
-        weights: (468, 3) barycentric, sum 1.
         deviation: (468,) how far from there they are found, in distances between the eyes (root mean square
             over rendered identities).
     """
 
-    vertices: NDArray[np.int64]
-    weights: Points
     deviation: Points
-
-    def of(self, points: NDArray[Any]) -> Points:
-        """Points (..., 468, 3) of the model's vertices (..., V, 3)."""
-        corners = np.asarray(points, dtype=np.float64)[..., self.vertices, :]
-        return np.asarray(np.einsum("...kcd,kc->...kd", corners, self.weights))
 
     @property
     def mean(self) -> Points:

@@ -9,8 +9,9 @@ import numpy as np
 from freetalk.faces.detector import Detection, FaceDetector
 from freetalk.faces.points import eye_distance, load_face_points
 from freetalk.faces.sighting import Sighting, approach, camera_of, observe
-from freetalk.faces.views import Camera, Points, Shot, SurfaceViews, directions, facing
+from freetalk.faces.views import Camera, Points, Shot, SurfaceViews, facing
 from freetalk.geometry import Similarity
+from freetalk.viz.occlusion import sphere_directions
 
 #: What looks like a face: share of the looks that show one, and mean distance from the mean face's points in
 #: distances between the eyes. Human heads: 1 and 0.03 to 0.06.
@@ -69,7 +70,7 @@ def _candidates(
     # A face that is small on a body looks along an axis of the file or of the body, or between two of them.
     between = (own[[0, 0, 1]] + own[[1, 2, 2]]) / 2**0.5
     closer_sides = np.concatenate([_AXES, own[::-1], -own[::-1], between, -between])
-    around = np.concatenate([_AXES, directions(_ALL_AROUND)])
+    around = np.concatenate([_AXES, sphere_directions(_ALL_AROUND)])
     middle = (views.low + views.high) / 2
     half = 0.5 * float(np.linalg.norm(views.high - views.low))
     doubtful: list[tuple[float, Camera]] = []

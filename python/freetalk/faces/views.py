@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from freetalk.viz.occlusion import depth_map
 from freetalk.viz.renderer import Image, OffScreen, off_screen_plotter
 
 Points = NDArray[np.float64]
@@ -148,22 +149,9 @@ class SurfaceViews(OffScreen):
         self._light.intensity = intensity
         self.plotter.render()
         image = np.ascontiguousarray(self.plotter.screenshot(None, return_img=True)[..., :3])
-        depth = self._depth()
+        depth = depth_map(self.plotter)[::-1]  # upper row first
         nearness = np.where(depth < 1.0, (2.0 - near - depth * (far - near)) * self._reach, np.nan)
         return Shot(camera, image, nearness)
-
-    def _depth(self) -> Points:
-        """(S, S) of the depth buffer, upper row first; 1 where nothing was drawn."""
-        from vtkmodules.util.numpy_support import vtk_to_numpy
-        from vtkmodules.vtkCommonCore import vtkFloatArray
-
-        values = vtkFloatArray()
-        last = self.side - 1
-        self.plotter.render_window.GetZbufferData(0, 0, last, last, values)
-        flipped: Points = (
-            vtk_to_numpy(values).reshape(self.side, self.side)[::-1].astype(np.float64)
-        )
-        return flipped
 
     def nearest(self, points: Points) -> tuple[Points, NDArray[np.int64]]:
         """The surface points (N, 3) nearest to points (N, 3), mesh unit, and their triangles (N,)."""
@@ -177,15 +165,6 @@ class SurfaceViews(OffScreen):
         """(N, 3) the surface's vertices, mesh unit; of very many, some."""
         points = np.asarray(self.surface.points, dtype=np.float64)
         return points[:: max(1, len(points) // 20000)] * self._reach + self._middle
-
-
-def directions(count: int) -> Points:
-    """(count, 3) unit vectors, evenly over the sphere (a Fibonacci lattice)."""
-    index = np.arange(count) + 0.5
-    height = 1 - 2 * index / count
-    angle = np.pi * (1 + 5**0.5) * index
-    ring = np.sqrt(1 - height**2)
-    return np.stack([ring * np.cos(angle), height, ring * np.sin(angle)], axis=1)
 
 
 def facing(toward: Points, up: Points | None = None) -> Points:

@@ -45,7 +45,9 @@ class Training:
         encoder = ""
         if isinstance(task, DenoisingTaskOptions):
             encoder = content_hash(encoder_folder(task.speech_encoder))
-        described = [self.kind, config.to_dict(), data, encoder]
+        options = config.to_dict()
+        options["task"].pop("operator_memory_gb", None)  # changes no weights
+        described = [self.kind, options, data, encoder]
         content = json.dumps(described, sort_keys=True)
         return hashlib.sha256(content.encode()).hexdigest()[:12]
 

@@ -150,7 +150,9 @@ class Engine:
 
     def to_device(self, batch: Any) -> Any:
         """Tensors of nested containers on this process's device; copies from pinned memory do not wait."""
-        return moved(batch, self.device)
+        from accelerate.utils import send_to_device
+
+        return send_to_device(batch, self.device, non_blocking=True)
 
 
 class StepLoss(nn.Module):
@@ -165,17 +167,6 @@ class StepLoss(nn.Module):
         """The task's terms."""
         terms: dict[str, Tensor] = self._loss(batch, generator)
         return terms
-
-
-def moved(batch: Any, device: torch.device) -> Any:
-    """Nested dictionaries and lists with their tensors on a device."""
-    if isinstance(batch, Tensor):
-        return batch.detach().to(device, non_blocking=True)
-    if isinstance(batch, dict):
-        return {key: moved(value, device) for key, value in batch.items()}
-    if isinstance(batch, list):
-        return [moved(value, device) for value in batch]
-    return batch
 
 
 def choose_device(options: LoopOptions) -> torch.device:

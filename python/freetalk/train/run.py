@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,13 @@ from freetalk.train.progress import is_main_process
 from freetalk.train.task import Task, TrainingResult
 from freetalk.viz import check_video_support
 
+_TASKS = {
+    "ats": ("ats", "AtsTask"),
+    "facetalk": ("facetalk", "FaceTalkTask"),
+    "stm": ("stm", "StmTask"),
+    "head": ("head", "HeadTask"),
+    "speech": ("speech", "SpeechTask"),
+}
 # glibc's malloc.h, and the largest value that mallopt takes.
 _M_TRIM_THRESHOLD, _M_MMAP_MAX, _MOST = -1, -4, 2**31 - 1
 
@@ -116,33 +124,12 @@ def make_task(config: TrainingConfig, corpus: Dataset, out: Path, device: torch.
         ValueError: the data is not what the task needs.
     """
     torch.manual_seed(config.loop.seed)  # initial weights
-    task = _new_task(config, corpus, out, device)
+    module, name = _TASKS[config.kind]  # each training imports only the rooms it needs
+    make = getattr(importlib.import_module(f"freetalk.train.{module}"), name)
+    task: Task = make(config, corpus, out, device)
     if config.task.init:
         start_from(task.model, config.task.init, config.kind)
     return task
-
-
-def _new_task(config: TrainingConfig, corpus: Dataset, out: Path, device: torch.device) -> Task:
-    # Each training imports only the rooms it needs.
-    if config.kind == "ats":
-        from freetalk.train.ats import AtsTask
-
-        return AtsTask(config, corpus, out, device)
-    if config.kind == "facetalk":
-        from freetalk.train.facetalk import FaceTalkTask
-
-        return FaceTalkTask(config, corpus, out, device)
-    if config.kind == "stm":
-        from freetalk.train.stm import StmTask
-
-        return StmTask(config, corpus, out, device)
-    if config.kind == "head":
-        from freetalk.train.head import HeadTask
-
-        return HeadTask(config, corpus, out, device)
-    from freetalk.train.speech import SpeechTask
-
-    return SpeechTask(config, corpus, out, device)
 
 
 def _write_run_record(

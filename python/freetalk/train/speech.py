@@ -22,7 +22,6 @@ from freetalk.train.augment import FASTEST_VOICE, augment_wave, change_speed, ch
 from freetalk.train.checkpoint import export_model
 from freetalk.train.checks import NO_VALIDATION
 from freetalk.train.config import TrainingConfig
-from freetalk.train.engine import moved
 from freetalk.train.progress import notice
 from freetalk.train.sequences import SequenceSampler, present_weights
 from freetalk.train.speech_recordings import RECORDED, Recordings
@@ -141,7 +140,7 @@ class SpeechTask:
 
     def _judged(self, cpu_batch: dict[str, Any]) -> dict[str, Any]:
         """Terms and phone accuracy of a batch, and the openings (guessed, true) of each source."""
-        batch = moved(cpu_batch, self.device)
+        batch = {name: value.to(self.device) for name, value in cpu_batch.items()}
         predictions = self._predict(batch)
         phones, _, _, opening = predictions
         terms = {n: float(value) for n, value in self._terms(batch, *predictions).items()}

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from freetalk.corpus.linear_face import built_in_face
 from freetalk.data import Dataset, FaceMesh
 from freetalk.data.landmark_transfer import on_surface
+from freetalk.data.triangles import Places
 from freetalk.mesh import vertex_normals
 from freetalk.stm import FollowOptions, LandmarkFollower
 
@@ -21,24 +22,6 @@ _KNOWN, _FOUND = 0.5, 0.3
 _KNOWN_M, _FOUND_M = 0.0004, 0.0015
 #: Noise of the interpolation from the mean face's landmarks.
 _GUESSED_NOISE = 0.05
-
-
-class SurfaceLandmarks:
-    """68 points of a meshing, and the values that vertices give them.
-
-    Args:
-        corners: (68, 3) vertices of the triangles that they lie on.
-        shares: (68, 3) barycentric, sum 1.
-    """
-
-    def __init__(self, corners: npt.NDArray[np.int64], shares: Points) -> None:
-        self._corners, self._shares = corners, shares
-
-    def of(self, values: npt.NDArray[Any]) -> Points:
-        """(..., 68, C) of values (..., V, C)."""
-        return np.asarray(
-            np.einsum("...kcd,kc->...kd", values[..., self._corners, :], self._shares)
-        )
 
 
 class FaceLandmarks:
@@ -55,9 +38,9 @@ class FaceLandmarks:
         neutral = np.asarray(face.neutral, dtype=np.float64)
         self.mean = neutral[face.landmarks]
         self.outward = vertex_normals(neutral, face.faces)[face.landmarks]
-        self._of_meshing: dict[str, SurfaceLandmarks] = {}
+        self._of_meshing: dict[str, Places] = {}
 
-    def on(self, topology: str, mesh: FaceMesh) -> SurfaceLandmarks:
+    def on(self, topology: str, mesh: FaceMesh) -> Places:
         """Those of a whole meshing; ``mesh`` is any of its faces."""
         if topology not in self._of_meshing:
             self._of_meshing[topology] = self._found(topology, mesh)
@@ -93,11 +76,11 @@ class FaceLandmarks:
             options=options,
         )
 
-    def _found(self, topology: str, mesh: FaceMesh) -> SurfaceLandmarks:
+    def _found(self, topology: str, mesh: FaceMesh) -> Places:
         if mesh.landmarks is not None:
             corners = np.repeat(mesh.landmarks[:, None], 3, axis=1)
-            return SurfaceLandmarks(corners, np.tile([1.0, 0.0, 0.0], (len(corners), 1)))
+            return Places(corners, np.tile([1.0, 0.0, 0.0], (len(corners), 1)))
         data = self._corpus.meshing(topology)
         neutral = data.neutral(np.zeros(0, np.float32)).astype(np.float64)
         triangles, shares, _, _ = on_surface(neutral, data.faces, self.mean, self.outward)
-        return SurfaceLandmarks(data.faces[triangles], shares)
+        return Places(data.faces[triangles], shares)

@@ -18,8 +18,9 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from freetalk.data import Dataset, FaceMesh
+from freetalk.data.triangles import Places
 from freetalk.geometry import cotan_laplacian, lumped_mass
-from freetalk.train.stm_landmarks import FaceLandmarks, Points, SurfaceLandmarks
+from freetalk.train.stm_landmarks import FaceLandmarks, Points
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -170,7 +171,7 @@ class Sculpts:
         rng: np.random.Generator,
         topology: str,
         points: Points,
-        marks: SurfaceLandmarks,
+        marks: Places,
         opening: FloatArray,
         moved: Points,
     ) -> Points:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from freetalk.mesh import connected_components
+
 SKIN = (0.86, 0.67, 0.56)
 MOUTH_INSIDE = (0.36, 0.14, 0.13)
 MOUTH_DARK = (0.13, 0.045, 0.045)
@@ -52,30 +54,6 @@ class NormalField:
         return normals.astype(np.float32)
 
 
-def connected_labels(edges: NDArray[np.int64], num_vertices: int) -> NDArray[np.int64]:
-    """Names every vertex after the lowest vertex it is connected to.
-
-    Args:
-        edges: (E, 2) pairs of vertices.
-        num_vertices: V.
-
-    Returns:
-        (V,) lowest vertex of the connected part.
-    """
-    label = np.arange(num_vertices)
-    while True:
-        lowest = np.minimum(label[edges[:, 0]], label[edges[:, 1]])
-        merged = label.copy()
-        np.minimum.at(merged, label[edges[:, 0]], lowest)
-        np.minimum.at(merged, label[edges[:, 1]], lowest)
-        while (merged[merged] != merged).any():
-            merged = merged[merged]
-        merged = merged[label]
-        if (merged == label).all():
-            return label
-        label = merged
-
-
 def part_labels(faces: NDArray[np.int64], num_vertices: int) -> NDArray[np.int64]:
     """Numbers the connected parts of a mesh, the largest first.
 
@@ -86,10 +64,8 @@ def part_labels(faces: NDArray[np.int64], num_vertices: int) -> NDArray[np.int64
     Returns:
         (V,) part of each vertex.
     """
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
-    _, part, count = np.unique(
-        connected_labels(edges, num_vertices), return_inverse=True, return_counts=True
-    )
+    label = connected_components(num_vertices, faces)
+    _, part, count = np.unique(label, return_inverse=True, return_counts=True)
     rank = np.empty(len(count), dtype=np.int64)
     rank[np.argsort(-count, kind="stable")] = np.arange(len(count))
     return rank[part]

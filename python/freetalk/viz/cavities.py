@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from freetalk.viz.appearance import IRIS, IVORY, PUPIL, connected_labels, part_labels
+from freetalk.mesh import connected_components
+from freetalk.viz.appearance import IRIS, IVORY, PUPIL, part_labels
 
 # Where the rims of mouth and eyes lie around the mean landmark of the mean face, metres: (low, high).
 _MOUTH_BOX = np.array([[-0.02, -0.065, -0.02], [0.02, -0.012, 0.06]])
@@ -109,7 +110,7 @@ def boundary_rims(faces: NDArray[np.int64], num_vertices: int) -> list[NDArray[n
     boundary = edges[first[count == 1]]
     if len(boundary) == 0:
         return []
-    label = connected_labels(boundary, num_vertices)[boundary[:, 0]]
+    label = connected_components(num_vertices, boundary[:, [0, 1, 1]])[boundary[:, 0]]
     return [boundary[label == value] for value in np.unique(label)]
 
 

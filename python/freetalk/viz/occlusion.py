@@ -41,7 +41,7 @@ def bake_occlusion(
     lit, weight = np.zeros(len(points)), np.zeros(len(points))
     try:
         plotter.show(auto_close=False, interactive=False)
-        for direction in _fibonacci_sphere(num_directions):
+        for direction in sphere_directions(num_directions):
             cosine = np.maximum(normals @ direction, 0.0)
             lit += cosine * _visible(plotter, points, center, radius, direction)
             weight += cosine
@@ -50,7 +50,8 @@ def bake_occlusion(
     return np.asarray(lit / np.maximum(weight, 1e-9), dtype=np.float32)
 
 
-def _fibonacci_sphere(count: int) -> NDArray[np.float64]:
+def sphere_directions(count: int) -> NDArray[np.float64]:
+    """(count, 3) unit vectors, evenly over the sphere (a Fibonacci lattice)."""
     index = np.arange(count) + 0.5
     height = 1 - 2 * index / count
     angle = np.pi * (1 + np.sqrt(5)) * index
@@ -76,7 +77,7 @@ def _visible(
     camera.up = tuple(up)
     camera.clipping_range = (0.9 * radius, 3.1 * radius)
     plotter.render()
-    depth = _depth_map(plotter) * 2.2 * radius + 0.9 * radius
+    depth = depth_map(plotter) * 2.2 * radius + 0.9 * radius
     height, width = depth.shape
     offset = points - center
     column = np.clip((offset @ right / radius + 1) / 2 * width, 0, width - 1).astype(int)
@@ -85,7 +86,7 @@ def _visible(
     return np.asarray(2 * radius - offset @ direction <= depth[row, column] + bias, dtype=float)
 
 
-def _depth_map(plotter: pyvista.Plotter) -> NDArray[np.float64]:
+def depth_map(plotter: pyvista.Plotter) -> NDArray[np.float64]:
     """(height, width) depth in [0, 1] between the clipping planes, first row at the bottom."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkCommonCore import vtkFloatArray
