@@ -134,14 +134,12 @@ class Animation:
     @property
     def landmarks(self) -> torch.Tensor | None:
         """(T, 68, 3) displacements in metres, canonical frame, of which the motion was made; None where not known."""
-        landmarks: torch.Tensor | None = self._native.landmarks
-        return landmarks
+        return self._native.landmarks
 
     @property
     def metadata(self) -> dict[str, Any]:
         """What the maker of the animation says: options, alignment, notices."""
-        metadata: dict[str, Any] = json.loads(self._native.metadata_json)
-        return metadata
+        return json.loads(self._native.metadata_json)
 
     @property
     def num_frames(self) -> int:

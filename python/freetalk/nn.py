@@ -40,8 +40,7 @@ class _SurfaceNet(NativeModule):
         Raises:
             ValueError: x does not fit the options or the operators.
         """
-        output: torch.Tensor = self._impl.forward(x, operators)
-        return output
+        return self._impl.forward(x, operators)
 
 
 class DiffusionNet(_SurfaceNet):

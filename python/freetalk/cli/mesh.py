@@ -133,7 +133,4 @@ def _template(arguments: argparse.Namespace) -> dict[str, Any]:
     from freetalk import _native
 
     file = find_weights(arguments.pretrained) / "template.safetensors"
-    tensors: dict[str, Any] = _native.core.load_safetensors(
-        check_readable(str(file), "weights with a template")
-    )
-    return tensors
+    return _native.core.load_safetensors(check_readable(str(file), "weights with a template"))

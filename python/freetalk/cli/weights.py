@@ -21,8 +21,7 @@ __all__ = [
 def motion_options(folder: Path) -> dict[str, Any]:
     """Options of the landmark model: emotions, frames per second."""
     config: dict[str, Any] = json.loads((folder / "ats" / "config.json").read_text())
-    options: dict[str, Any] = config["options"]
-    return options
+    return config["options"]
 
 
 def shipped_emotions() -> list[str]:

@@ -128,8 +128,7 @@ def outer_face(rig: HeadModel) -> np.ndarray:
     open_mouth = PosedHead(rig, np.zeros(len(rig.identity_basis)), rig.canonical_weights)
     outer = np.unique(open_mouth.faces[open_mouth.is_outer()])
     skin = outer[outer < len(rig.neutral)]
-    vertices: np.ndarray = skin[rig.is_face[skin]]
-    return vertices
+    return skin[rig.is_face[skin]]
 
 
 def distances_mm(

@@ -209,8 +209,7 @@ class SurfacePoints(NamedTuple):
 
     def of(self, values: Points, faces: npt.NDArray[np.int32]) -> Points:
         """(N, ...) values (V, ...) of the vertices at these points."""
-        found: Points = np.einsum("nc,nc...->n...", self.shares, values[faces[self.faces]])
-        return found
+        return np.einsum("nc,nc...->n...", self.shares, values[faces[self.faces]])
 
     def take(self, which: npt.NDArray[np.bool_] | Indices) -> SurfacePoints:
         """Some of them."""
@@ -241,8 +240,7 @@ class PosedHead:
 
     def signed_distance(self, points: Points) -> Points:
         """(N,) of points (N, 3)."""
-        found: Points = self._tree.signed_distance(points)
-        return found
+        return self._tree.signed_distance(points)
 
     def draw(self, rng: np.random.Generator, count: int, face_share: float) -> SurfacePoints:
         """Points that are seen from outside, at most `count`: a share of them on the face, the rest anywhere."""
@@ -260,8 +258,7 @@ class PosedHead:
     def is_seen(self, drawn: SurfacePoints) -> npt.NDArray[np.bool_]:
         """(N,) whether points lie on the outer surface: not on a ball within the head, nor where lips overlap."""
         outside = self.place(drawn, np.full(len(drawn.faces), _VISIBLE_M))
-        found: npt.NDArray[np.bool_] = self._tree.winding_number(outside) < 0.5
-        return found
+        return self._tree.winding_number(outside) < 0.5
 
     def is_outer(self) -> npt.NDArray[np.bool_]:
         """(F,) the triangles whose middles lie on the outer surface."""
@@ -270,14 +267,12 @@ class PosedHead:
 
     def place(self, drawn: SurfacePoints, offsets: Points) -> Points:
         """(N, 3) points moved along their normals by offsets (N,)."""
-        moved: Points = drawn.of(self.vertices, self.faces) + offsets[:, None] * self.normal(drawn)
-        return moved
+        return drawn.of(self.vertices, self.faces) + offsets[:, None] * self.normal(drawn)
 
     def normal(self, drawn: SurfacePoints) -> Points:
         """(N, 3) unit normals at points."""
         normals = drawn.of(self.normals, self.faces)
-        unit: Points = normals / np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-9)
-        return unit
+        return normals / np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-9)
 
     def is_nearest(self, drawn: SurfacePoints, offsets: Points) -> npt.NDArray[np.bool_]:
         """(N,) whether the offset points belong to their own point: it is (up to 10 %) the nearest of the surface.
@@ -285,8 +280,7 @@ class PosedHead:
         Beyond about half of a gap, between the lips or a lid and its ball, the other side is nearer.
         """
         found = self.signed_distance(self.place(drawn, offsets))
-        near: npt.NDArray[np.bool_] = np.abs(found - offsets) <= 0.1 * np.abs(offsets) + 1e-6
-        return near
+        return np.abs(found - offsets) <= 0.1 * np.abs(offsets) + 1e-6
 
 
 def draw_pairs(

@@ -59,8 +59,7 @@ class ExpressiveFace(LinearFace):
         border = np.zeros(len(self.neutral), bool)
         for loop in boundary_loops(np.asarray(self.faces).tolist()):
             border[loop] = True
-        inner: npt.NDArray[np.bool_] = ~border[self.faces].any(axis=1)
-        return inner
+        return ~border[self.faces].any(axis=1)
 
 
 @dataclass(frozen=True)

@@ -58,8 +58,7 @@ class Landmarks:
     def indices(self) -> IndexArray:
         """(68,) the vertex that counts most in each landmark."""
         rows = np.arange(len(self.vertices))
-        chosen: IndexArray = self.vertices[rows, self.weights.argmax(axis=1)]
-        return chosen
+        return self.vertices[rows, self.weights.argmax(axis=1)]
 
     def describe(self) -> dict[str, Any]:
         """File, count and hash, as results name them."""

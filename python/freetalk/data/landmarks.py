@@ -30,5 +30,4 @@ def lip_opening(landmarks: FloatArray) -> FloatArray:
     Returns:
         (...) m, 0 where the lips are as in the neutral face.
     """
-    opening: FloatArray = landmarks[..., UPPER_INNER_LIP, 1] - landmarks[..., LOWER_INNER_LIP, 1]
-    return opening
+    return landmarks[..., UPPER_INNER_LIP, 1] - landmarks[..., LOWER_INNER_LIP, 1]

@@ -108,8 +108,7 @@ class Registration:
 
     def canonical(self, points: npt.NDArray[Any], frame: int) -> Points:
         """Points (P, 3) of a scan in the model's frame."""
-        placed: Points = (np.asarray(points, np.float64) - self.shift[frame]) @ self.rotation[frame]
-        return placed
+        return (np.asarray(points, np.float64) - self.shift[frame]) @ self.rotation[frame]
 
 
 def register(
@@ -296,8 +295,7 @@ class _Solver:
         return np.concatenate([_by_vertex(own), _by_vertex(self.face.identity_basis)], axis=2)
 
     def _canonical(self, points: Points, t: int) -> Points:
-        placed: Points = (points - self.shift[t]) @ self.rotation[t]
-        return placed
+        return (points - self.shift[t]) @ self.rotation[t]
 
     def _gram(
         self,
@@ -317,8 +315,7 @@ class _Solver:
         rows[:, :, :3], rows[:, :, 3:POSE] = cross @ self.rotation[t].T, self.rotation[t].T
         rows[:, :, POSE:-1], rows[:, :, -1] = moves, apart
         flat = (roots.astype(np.float32) @ rows).reshape(-1, rows.shape[2])
-        gram: Points = (flat.T @ flat).astype(np.float64)
-        return gram
+        return (flat.T @ flat).astype(np.float64)
 
 
 def _by_vertex(basis: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
@@ -328,8 +325,7 @@ def _by_vertex(basis: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
 
 def _robust(distance: Points, width: Points) -> Points:
     """Geman-McClure's weights."""
-    weights: Points = 1 / np.square(1 + np.square(distance / width))
-    return weights
+    return 1 / np.square(1 + np.square(distance / width))
 
 
 def _initial_poses(scans: list[Scan], face: ExpressiveFace) -> tuple[Points, Points]:

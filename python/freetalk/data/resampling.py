@@ -35,8 +35,7 @@ def resample_frames(values: FloatArray, fps: float, rate: float) -> FloatArray:
         _RATE_DENOMINATOR
     )
     wanted = resample_poly(values, ratio.numerator, ratio.denominator, axis=0, padtype="line")
-    result: FloatArray = wanted[: frames_at(len(values), fps, rate)].astype(values.dtype)
-    return result
+    return wanted[: frames_at(len(values), fps, rate)].astype(values.dtype)
 
 
 def interpolate_frames(values: FloatArray, frames: npt.NDArray[np.floating]) -> FloatArray:
@@ -51,5 +50,4 @@ def interpolate_frames(values: FloatArray, frames: npt.NDArray[np.floating]) -> 
         return np.ascontiguousarray(values[low])
     high = np.minimum(low + 1, len(values) - 1)
     share = share.reshape((-1,) + (1,) * (values.ndim - 1))
-    result: FloatArray = values[low] * (1 - share) + values[high] * share
-    return result
+    return values[low] * (1 - share) + values[high] * share

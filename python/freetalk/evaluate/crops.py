@@ -112,8 +112,7 @@ def network_features(path: str | Path, device: torch.device | str = "cpu") -> Fe
             found = network(batch)
         except RuntimeError:
             found = network(batch.float() / 255)
-        result: npt.NDArray[np.float64] = found.flatten(1).cpu().double().numpy()
-        return result
+        return found.flatten(1).cpu().double().numpy()
 
     return features
 

@@ -106,8 +106,7 @@ class SpeechToMotion:
             options=self.options,
             seed=seed,
         )
-        result: FloatArray = motion.cpu().numpy()
-        return result
+        return motion.cpu().numpy()
 
     def mixture(self, emotion: str) -> torch.Tensor:
         """(E,) of one emotion.

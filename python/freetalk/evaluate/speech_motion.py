@@ -30,8 +30,7 @@ def correlation(a: FloatArray, b: FloatArray) -> float:
 
 def log_energy(wave: FloatArray, num_frames: int, fps: float, sample_rate_hz: int) -> FloatArray:
     """Log of the audio's energy around each frame (Hann window of two frames), (T,)."""
-    energy: FloatArray = metrics.log_energy(wave, num_frames, fps, sample_rate_hz).float().numpy()
-    return energy
+    return metrics.log_energy(wave, num_frames, fps, sample_rate_hz).float().numpy()
 
 
 def closures(

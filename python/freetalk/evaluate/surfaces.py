@@ -76,8 +76,7 @@ def _distances(a: Points, a_faces: Faces, b: Points, b_faces: Faces) -> tuple[fl
 
 def _to_surface(points: Points, vertices: Points, faces: Faces) -> npt.NDArray[np.float64]:
     """Distance of each point to the nearest point of a surface, (N,)."""
-    distances: npt.NDArray[np.float64] = SurfaceTree(vertices, faces).nearest(points)[1]
-    return distances
+    return SurfaceTree(vertices, faces).nearest(points)[1]
 
 
 @dataclass(frozen=True)

@@ -200,8 +200,7 @@ def _mel_bands() -> npt.NDArray[np.float64]:
     falling = np.where(
         (bins >= peak) & (bins < high), (high - bins) / np.maximum(high - peak, 1), 0
     )
-    triangles: npt.NDArray[np.float64] = rising + falling
-    return triangles
+    return rising + falling
 
 
 def _flat(inputs: int, outputs: int, kernel: int | tuple[int, int], pad: int) -> list[nn.Module]:

@@ -67,8 +67,7 @@ class LinearProbe:
     def predict(self, features: Tensor) -> Labels:
         """(N, C) to the class of each frame, (N,)."""
         scores = (features.float() - self.mean) / self.spread @ self.weight + self.bias
-        result: Labels = scores.argmax(dim=1).numpy()
-        return result
+        return scores.argmax(dim=1).numpy()
 
 
 def viseme_labels(phones: Sequence[Phone], times_s: npt.ArrayLike) -> Labels:

@@ -249,8 +249,7 @@ def _in_world(
     """Rigid motions (T, 4, 4) below a placement, that is applied to rows, as they are seen above it."""
     place = np.eye(4)
     place[:3, :3], place[:3, 3] = linear.T, shift
-    moved: NDArray[np.float64] = place @ poses @ np.linalg.inv(place)
-    return moved
+    return place @ poses @ np.linalg.inv(place)
 
 
 def _to_metres(modules: Any, stage: Any, prim: Any) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -53,8 +53,7 @@ class Camera:
         """Points (N, 3) of what :meth:`project` gives."""
         scaled = np.array(local, dtype=np.float64)
         scaled[:, :2] *= self.half
-        placed: Points = scaled @ self.rotation + self.target
-        return placed
+        return scaled @ self.rotation + self.target
 
 
 @dataclass(frozen=True)

@@ -46,8 +46,7 @@ class ParametricHead(NativeModule):
         Raises:
             ValueError: a shape does not fit; the message says which.
         """
-        distance: torch.Tensor = self._impl.forward(points, z_id, z_exp)
-        return distance
+        return self._impl.forward(points, z_id, z_exp)
 
     sdf = forward
 
@@ -67,8 +66,7 @@ class ParametricHead(NativeModule):
             z_exp: (B, ``expression_dim``) where ``options.identity_sees`` is ``expression``; None is 0.
             hyper: (B, N, ``hyper_dim``) where it is ``hyper``; None is 0.
         """
-        distance: torch.Tensor = self._impl.canonical_sdf(points, z_id, z_exp=z_exp, hyper=hyper)
-        return distance
+        return self._impl.canonical_sdf(points, z_id, z_exp=z_exp, hyper=hyper)
 
     def to_canonical(
         self, points: torch.Tensor, z_id: torch.Tensor, z_exp: torch.Tensor
@@ -81,48 +79,38 @@ class ParametricHead(NativeModule):
         Returns:
             (B, N, 3) points, and (B, N, ``hyper_dim``) further coordinates where the identity field sees them.
         """
-        moved: tuple[torch.Tensor, torch.Tensor | None] = self._impl.to_canonical(
-            points, z_id, z_exp
-        )
-        return moved
+        return self._impl.to_canonical(points, z_id, z_exp)
 
     def to_posed(
         self, points: torch.Tensor, z_id: torch.Tensor, z_exp: torch.Tensor
     ) -> torch.Tensor:
         """Canonical points (B, N, 3) moved to the posed face: the forward network, or the backward one inverted."""
-        moved: torch.Tensor = self._impl.to_posed(points, z_id, z_exp)
-        return moved
+        return self._impl.to_posed(points, z_id, z_exp)
 
     def anchors(self, z_id: torch.Tensor) -> torch.Tensor:
         """Anchors (B, ``num_anchors``, 3) of identities on the canonical face, head units."""
-        placed: torch.Tensor = self._impl.anchors(z_id)
-        return placed
+        return self._impl.anchors(z_id)
 
     def identity_code(self, coefficients: torch.Tensor) -> torch.Tensor:
         """z_id (B, D) of a face model's identity coefficients (B, ``num_coefficients``)."""
-        code: torch.Tensor = self._impl.identity_code(coefficients)
-        return code
+        return self._impl.identity_code(coefficients)
 
     def expression_code(self, weights: torch.Tensor) -> torch.Tensor:
         """z_exp (B, E) of expression weights (B, ``num_weights``); that of ``canonical_weights`` is 0."""
-        code: torch.Tensor = self._impl.expression_code(weights)
-        return code
+        return self._impl.expression_code(weights)
 
     def symmetry_distance(self, z_id: torch.Tensor) -> torch.Tensor:
         """The mean distance of the local codes of mirrored anchors, a scalar that NPHM's training keeps small."""
-        distance: torch.Tensor = self._impl.symmetry_distance(z_id)
-        return distance
+        return self._impl.symmetry_distance(z_id)
 
     def sample_identity(self, count: int, *, seed: int) -> torch.Tensor:
         """z_id (count, D) of new identities, the same for the same seed."""
-        codes: torch.Tensor = self._impl.sample_identity(count, seed=seed)
-        return codes
+        return self._impl.sample_identity(count, seed=seed)
 
     @property
     def identity_dim(self) -> int:
         """D, channels of z_id."""
-        dim: int = self._own.identity_dim
-        return dim
+        return self._own.identity_dim
 
 
 class PreparedHead:

@@ -87,7 +87,6 @@ def recognised(
     Raises:
         ValueError: shapes do not fit, or a label has one sequence only.
     """
-    found: list[bool] = _native.metrics.recognised(
+    return _native.metrics.recognised(
         floats(features), floats(reference), labels=text_list(labels), floor=floor
     )
-    return found

@@ -102,10 +102,9 @@ def lip_closures(
         ValueError: a value is out of its range.
     """
     sounds = [(float(start), float(end), str(label)) for start, end, label in phones]
-    found: list[bool] = _native.metrics.lip_closures(
+    return _native.metrics.lip_closures(
         floats(opening), sounds, fps=fps, closed=closed, share=share, largest=largest
     )
-    return found
 
 
 def log_energy(wave: Array, num_frames: int, fps: float, sample_rate_hz: float) -> torch.Tensor:
@@ -123,10 +122,9 @@ def log_energy(wave: Array, num_frames: int, fps: float, sample_rate_hz: float) 
     Raises:
         ValueError: no samples, or a rate that is not positive.
     """
-    result: torch.Tensor = _native.metrics.log_energy(
+    return _native.metrics.log_energy(
         floats(wave), num_frames, fps=fps, sample_rate_hz=sample_rate_hz
     )
-    return result
 
 
 def best_offset(

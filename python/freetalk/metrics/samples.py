@@ -29,8 +29,7 @@ def diversity(codes: Array) -> torch.Tensor:
     Raises:
         ValueError: fewer than two samples.
     """
-    result: torch.Tensor = _native.metrics.diversity(floats(codes))
-    return result
+    return _native.metrics.diversity(floats(codes))
 
 
 def diversity_vertex(

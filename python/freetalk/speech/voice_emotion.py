@@ -41,8 +41,7 @@ def voice_features(encoder: SpeechEncoder, wave: FloatArray) -> FloatArray:
     sound = torch.from_numpy(np.ascontiguousarray(wave * (_LEVEL / (level + 1e-6)), np.float32))
     with torch.no_grad():
         features = encode_speech(encoder, sound, _FPS)
-    result: FloatArray = torch.cat([features.mean(0), features.std(0)]).cpu().numpy()
-    return result
+    return torch.cat([features.mean(0), features.std(0)]).cpu().numpy()
 
 
 class VoiceEmotion:
@@ -122,8 +121,7 @@ class VoiceEmotion:
         scaled = (features - self.origin) / self.spread
         scores = (scaled @ self.weight.T + self.bias).astype(np.float64)
         powers = np.exp(scores - scores.max(1, keepdims=True))
-        result: FloatArray = (powers / powers.sum(1, keepdims=True)).astype(np.float32)
-        return result
+        return (powers / powers.sum(1, keepdims=True)).astype(np.float32)
 
     def knows(self, features: FloatArray) -> npt.NDArray[np.bool_]:
         """(N,) whether windows (N, F) are like those that were learnt from."""

@@ -187,8 +187,7 @@ def _draws(
     drawn = middle + math.sqrt(count / (count - 1)) * (drawn - middle)
     if degrees > 0:
         drawn += noise * rng.standard_t(degrees, _DRAWS)
-    result: npt.NDArray[np.float64] = drawn
-    return result
+    return drawn
 
 
 def _seed_spread(claim: Claim, rows: Mapping[str, Mapping[str, Any]]) -> tuple[float, int]:

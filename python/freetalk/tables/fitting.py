@@ -167,8 +167,7 @@ def _landmarks(rig: HeadModel) -> npt.NDArray[np.int64]:
     model = load_face_model()
     marks = model.neutral[model.landmarks68].astype(np.float64)
     away = np.square(rig.neutral[:, None] - marks).sum(axis=-1)
-    found: npt.NDArray[np.int64] = away.argmin(axis=0)
-    return found
+    return away.argmin(axis=0)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

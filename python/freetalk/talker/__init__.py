@@ -88,8 +88,7 @@ class Talker:
     @property
     def emotions(self) -> list[str]:
         """Names that ``emotion=`` accepts, beside aliases."""
-        emotions: list[str] = self._native.emotions
-        return emotions
+        return self._native.emotions
 
     @property
     def max_intensity(self) -> float:
@@ -170,8 +169,7 @@ class Talker:
         Raises:
             ValueError: the weights have no head.
         """
-        code: torch.Tensor = self._native.sample_identity(seed)
-        return code
+        return self._native.sample_identity(seed)
 
     def prepare_head(
         self,

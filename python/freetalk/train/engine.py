@@ -94,8 +94,7 @@ class Engine:
 
     def clip(self, parameters: Iterable[nn.Parameter], largest: float) -> Tensor:
         """Norm of the gradients, which it limits."""
-        norm: Tensor = self._accelerator.clip_grad_norm_(list(parameters), largest)
-        return norm
+        return self._accelerator.clip_grad_norm_(list(parameters), largest)
 
     @property
     def scale(self) -> float | None:
@@ -105,10 +104,7 @@ class Engine:
 
     def last_of_step(self, module: nn.Module, last: bool) -> AbstractContextManager[None]:
         """Gradients are exchanged only by the last of a step's passes."""
-        context: AbstractContextManager[None] = (
-            nullcontext() if last else self._accelerator.no_sync(module)
-        )
-        return context
+        return nullcontext() if last else self._accelerator.no_sync(module)
 
     def save_state(self, folder: Path) -> None:
         """Writes weights, optimiser and scaler."""
@@ -122,8 +118,7 @@ class Engine:
         """Mean over the processes, the same in each."""
         if self.num_processes == 1:
             return values
-        mean: Tensor = self._accelerator.reduce(values, reduction="mean")
-        return mean
+        return self._accelerator.reduce(values, reduction="mean")
 
     def gathered(self, value: Any) -> list[Any]:
         """Every process's value, in order, in each."""
@@ -131,8 +126,7 @@ class Engine:
             return [value]
         from accelerate.utils import gather_object
 
-        found: list[Any] = gather_object([value])
-        return found
+        return gather_object([value])
 
     def from_main(self, value: Any) -> Any:
         """The main process's value, in each; waits for it."""
@@ -165,8 +159,7 @@ class StepLoss(nn.Module):
 
     def forward(self, batch: dict[str, Any], generator: torch.Generator) -> dict[str, Tensor]:
         """The task's terms."""
-        terms: dict[str, Tensor] = self._loss(batch, generator)
-        return terms
+        return self._loss(batch, generator)
 
 
 def choose_device(options: LoopOptions) -> torch.device:

@@ -72,8 +72,7 @@ class Expressions:
             start = int(rng.integers(sequence.num_frames))
             frame = np.zeros((1, len(self._model.expression_names)), np.float32)
             frame[:, self._columns] = self._corpus.weights(sequence, start, start + 1)
-        weights: Array = self._lips.without_interpenetration(frame)[0].astype(np.float32)
-        return weights
+        return self._lips.without_interpenetration(frame)[0].astype(np.float32)
 
 
 class HeadSampler:

@@ -85,8 +85,7 @@ class MeanFace:
         landmarks = landmarks.to(self._positions)
         features = self._stm.encode(self._positions, self._operators)
         parts = [self._stm.decode(features, self._operators, part) for part in landmarks.split(16)]
-        result: FloatArray = torch.cat(parts).float().cpu().numpy()
-        return result
+        return torch.cat(parts).float().cpu().numpy()
 
 
 def sample_of(
@@ -147,5 +146,4 @@ def save_sample(sample: Sample, path: Path) -> Picture:
     )
     moments = np.linspace(0, len(frames) - 1, _MOMENTS).round().astype(int)
     rows = [np.concatenate([side[k] for k in moments], axis=1) for side in sides]
-    picture: Picture = np.concatenate(rows, axis=0)
-    return picture
+    return np.concatenate(rows, axis=0)

@@ -180,8 +180,7 @@ class SpeechTask:
         export_model(directory, config, dict(self.model.encoder.state_dict()))
 
     def _predict(self, batch: dict[str, Any]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        result: tuple[Tensor, Tensor, Tensor, Tensor] = self.model(batch["wave"], batch["source"])
-        return result
+        return self.model(batch["wave"], batch["source"])
 
     def _terms(
         self,

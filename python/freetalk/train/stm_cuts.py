@@ -56,5 +56,4 @@ def _inside(mesh: FaceMesh, rng: np.random.Generator) -> npt.NDArray[np.bool_]:
     half_axes = rng.uniform(_LEAST_M, _MOST_M)
     power = rng.uniform(2.0, 6.0)
     reach = (np.abs((mesh.vertices - centre) / half_axes) ** power).sum(axis=1)
-    inside: npt.NDArray[np.bool_] = reach < 1.0
-    return inside
+    return reach < 1.0

@@ -151,8 +151,7 @@ class Placement:
 
     def operators(self, operators: SurfaceOperators) -> SurfaceOperators:
         """Operators of the moved surface, without solving anything again."""
-        moved: SurfaceOperators = operators.scaled(self.scale).turned(self.rotation)
-        return moved
+        return operators.scaled(self.scale).turned(self.rotation)
 
 
 def random_placement(

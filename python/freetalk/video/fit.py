@@ -211,8 +211,7 @@ def _identity(model: FaceModel, seen: FloatArray) -> FloatArray:
     rows = (basis * trust).reshape(len(basis), -1).T
     wanted = ((seen - model.neutral[model.landmarks68]) * trust).ravel()
     normal = rows.T @ rows + _IDENTITY_RIDGE_M**2 * np.eye(len(basis))
-    result: FloatArray = np.linalg.solve(normal, rows.T @ wanted).astype(np.float32)
-    return result
+    return np.linalg.solve(normal, rows.T @ wanted).astype(np.float32)
 
 
 def _shape(model: FaceModel, identity: FloatArray) -> Tensor:
@@ -240,8 +239,7 @@ def _with_lips(model: FaceModel, weights: FloatArray, target: FloatArray) -> Flo
 
 
 def _canonical_rest(neutral: Tensor) -> FloatArray:
-    centred: FloatArray = (neutral - neutral.mean(0)).numpy().astype(np.float32)
-    return centred
+    return (neutral - neutral.mean(0)).numpy().astype(np.float32)
 
 
 def _place(poses: Poses) -> Tensor:

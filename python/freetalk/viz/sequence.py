@@ -104,10 +104,7 @@ class Sequence:
         second = min(first + 1, self.num_frames - 1)
         blend = position - first
         pose = (1 - blend) * self.head[first] + blend * self.head[second]
-        result: NDArray[np.float64] = (
-            self.upright_matrix @ pose @ np.linalg.inv(self.upright_matrix)
-        )
-        return result
+        return self.upright_matrix @ pose @ np.linalg.inv(self.upright_matrix)
 
     def upright(self, points: NDArray[Any]) -> Points:
         """Brings (V, 3) points upright, to metres."""
