@@ -21,43 +21,21 @@ EMOVOCA_LABELS: tuple[str, ...] = (
 #: eleven files pair off with the eleven emotions that FreeTalk (4.1) lists for it, these two are left.
 LABELS: dict[str, dict[str, str]] = {
     "emovoca": {
-        "Afraid": "afraid",
-        "Disgust": "disgust",
-        "Irritated1": "angry",
-        "Sad1": "sad",
-        "Smile2": "happy",
-        "Drunk2": "drunk",
-        "Ill": "ill",
-        "Moody": "ashamed",
-        "Pleased": "pleased",
-        "Suspicious": "suspicious",
+        "Afraid": "afraid", "Disgust": "disgust", "Irritated1": "angry", "Sad1": "sad", "Smile2": "happy",
+        "Drunk2": "drunk", "Ill": "ill", "Moody": "ashamed", "Pleased": "pleased", "Suspicious": "suspicious",
         "Upset": "upset",
     },
     "mead": {
-        "neutral": "neutral",
-        "angry": "angry",
-        "contempt": "contempt",
-        "disgusted": "disgust",
-        "fear": "afraid",
-        "happy": "happy",
-        "sad": "sad",
-        "surprised": "surprise",
+        "neutral": "neutral", "angry": "angry", "contempt": "contempt", "disgusted": "disgust", "fear": "afraid",
+        "happy": "happy", "sad": "sad", "surprised": "surprise",
     },
-}
+}  # fmt: skip
 #: Other words for ours, in labels of a user's own data.
 SYNONYMS: dict[str, str] = {
-    "anger": "angry",
-    "calm": "neutral",
-    "contemptuous": "contempt",
-    "disgusted": "disgust",
-    "fear": "afraid",
-    "fearful": "afraid",
-    "happiness": "happy",
-    "joy": "happy",
-    "none": "neutral",
-    "sadness": "sad",
+    "anger": "angry", "calm": "neutral", "contemptuous": "contempt", "disgusted": "disgust", "fear": "afraid",
+    "fearful": "afraid", "happiness": "happy", "joy": "happy", "none": "neutral", "sadness": "sad",
     "surprised": "surprise",
-}
+}  # fmt: skip
 
 
 def emotion_of(label: str, table: str | None = None, where: str = "a label") -> str:

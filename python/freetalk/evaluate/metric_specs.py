@@ -53,113 +53,35 @@ class MetricSpec:
         return "up" if self.ideal > 0 else "down"
 
 
-def _extra(
-    name: str,
-    title: str,
-    unit: str,
-    ideal: float,
-    formula: str,
-    *,
-    mask: str = "lips",
-    pooling: str = "sequences",
-    two_sided: bool = False,
-    source: str = "freetalk",
-    factor: float = 1.0,
-) -> MetricSpec:
-    return MetricSpec(
-        name, name, title, mask, unit, factor, pooling, ideal, two_sided, formula, source
-    )
-
-
+_PROBTALK, _PERCEPTUAL = "ProbTalk3D", "Chae-Yeon et al., CVPR 2025"
 #: Metrics that need more than two motions: lip pairs, phones, audio, labels or several samples.
+#: Name, title, mask, unit, factor, pooling, ideal, two-sided, formula, source.
 EXTRAS: dict[str, MetricSpec] = {
-    spec.name: spec
-    for spec in (
-        _extra("lip_correlation", "lip corr.", "1", 1, "Pearson's correlation of the lip openings"),
-        _extra(
-            "lip_offset_ms",
-            "lip offset",
-            "ms",
-            0,
-            "lag of the predicted behind the true lip opening",
-            two_sided=True,
-        ),
-        _extra(
-            "mtm",
-            "MTM",
-            "ms",
-            0,
-            "mean distance in time of the peaks and valleys of predicted and true lip opening that "
-            "derivative dynamic time warping joins",
-            source="Chae-Yeon et al., CVPR 2025",
-        ),
-        _extra(
-            "slcc",
-            "SLCC",
-            "1",
-            float("nan"),
-            "correlation over clips of speech's RMS and the lips' RMS step, normalised by speaker; nearer to "
-            "the ground truth's is better",
-            two_sided=True,
-            source="Chae-Yeon et al., CVPR 2025",
-        ),
-        _extra(
-            "audio_offset_ms",
-            "audio offset",
-            "ms",
-            0,
-            "lag of the lip opening behind the audio's log energy",
-            two_sided=True,
-        ),
-        _extra(
-            "closure_rate",
-            "closures",
-            "1",
-            1,
-            "share of p, b, m at which the lips close to 15 % of the true largest opening",
-            pooling="phones",
-        ),
-        _extra(
-            "emotion_rate",
-            "emotion",
-            "1",
-            1,
-            "share of sequences whose emotion a nearest-centroid classifier reads, which knows the "
-            "ground truth of the others",
-            mask="upper",
-        ),
-        _extra(
-            "diversity_vertex",
-            "diversity",
-            "mm",
-            float("nan"),
-            "mean over pairs of samples, frames and vertices of |p_jtv - p_ltv|",
-            mask="all",
-            source="FaceDiffuser",
-            factor=1e3,
-        ),
-        _extra(
-            "lve_mean_estimate",
-            "MEE",
-            "mm^2",
-            0,
-            "LVE of the mean of the samples",
-            pooling="frames",
-            source="ProbTalk3D",
-            factor=1e6,
-        ),
-        _extra(
-            "lve_coverage",
-            "CE",
-            "mm^2",
-            0,
-            "least LVE of the samples",
-            pooling="frames",
-            source="ProbTalk3D",
-            factor=1e6,
-        ),
+    row[0]: MetricSpec(row[0], *row)
+    for row in (
+        ("lip_correlation", "lip corr.", "lips", "1", 1.0, "sequences", 1, False,
+         "Pearson's correlation of the lip openings", "freetalk"),
+        ("lip_offset_ms", "lip offset", "lips", "ms", 1.0, "sequences", 0, True,
+         "lag of the predicted behind the true lip opening", "freetalk"),
+        ("mtm", "MTM", "lips", "ms", 1.0, "sequences", 0, False,
+         "mean distance in time of the peaks and valleys of predicted and true lip opening that derivative dynamic "
+         "time warping joins", _PERCEPTUAL),
+        ("slcc", "SLCC", "lips", "1", 1.0, "sequences", float("nan"), True,
+         "correlation over clips of speech's RMS and the lips' RMS step, normalised by speaker; nearer to the ground "
+         "truth's is better", _PERCEPTUAL),
+        ("audio_offset_ms", "audio offset", "lips", "ms", 1.0, "sequences", 0, True,
+         "lag of the lip opening behind the audio's log energy", "freetalk"),
+        ("closure_rate", "closures", "lips", "1", 1.0, "phones", 1, False,
+         "share of p, b, m at which the lips close to 15 % of the true largest opening", "freetalk"),
+        ("emotion_rate", "emotion", "upper", "1", 1.0, "sequences", 1, False,
+         "share of sequences whose emotion a nearest-centroid classifier reads, which knows the ground truth of the "
+         "others", "freetalk"),
+        ("diversity_vertex", "diversity", "all", "mm", 1e3, "sequences", float("nan"), False,
+         "mean over pairs of samples, frames and vertices of |p_jtv - p_ltv|", "FaceDiffuser"),
+        ("lve_mean_estimate", "MEE", "lips", "mm^2", 1e6, "frames", 0, False, "LVE of the mean of the samples", _PROBTALK),
+        ("lve_coverage", "CE", "lips", "mm^2", 1e6, "frames", 0, False, "least LVE of the samples", _PROBTALK),
     )
-}
+}  # fmt: skip
 
 #: The metrics of FreeTalk's tables.
 PAPER = ("lve", "mve_mean", "fdd", "dtw", "dfd", "delta_m", "delta_cd")

@@ -212,30 +212,18 @@ T = TypeVar("T")
 
 
 def options_from_dict(kind: type[T], values: dict[Any, Any], where: str) -> T:
-    """Fills a dataclass of options; numbers and flags must have the field's type."""
-    fields = {f.name: f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
-    filled: dict[str, Any] = {}
-    for key, value in values.items():
-        if key not in fields:
-            raise ValueError(_unknown(str(key), list(fields), where))
-        filled[key] = _converted(value, str(fields[key].type), f"{where}.{key}")
-    return kind(**filled)
-
-
-def _converted(value: Any, wanted: str, where: str) -> Any:
-    if wanted == "float" and isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value)
-    if wanted == "int" and isinstance(value, int) and not isinstance(value, bool):
-        return value
-    if wanted == "bool" and isinstance(value, bool):
-        return value
-    if wanted == "str" and (isinstance(value, str) or value is None):
-        return value or ""
-    if wanted.startswith("dict") and (isinstance(value, dict) or value is None):
-        return {str(key): float(item) for key, item in (value or {}).items()}
-    if wanted == "list[str]" and isinstance(value, list):
-        return [str(item) for item in value]
-    raise ValueError(f"{where} = {value!r} is no {wanted}")
+    """Fills a dataclass of options; a value that is none of its field's type is a ValueError."""
+    types = {f.name: f.type for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    for key in values:
+        if key not in types:
+            raise ValueError(_unknown(str(key), list(types), where))
+    given = {key: value for key, value in values.items() if value is not None}
+    try:
+        filled: Any = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(kind), given))
+    except OmegaConfBaseException as error:
+        name = str(error.full_key).split(".")[0].split("[")[0]
+        raise ValueError(f"{where}.{name} = {values[name]!r} is no {types[name]}") from error
+    return filled
 
 
 def _unknown(key: str, known: list[str], where: str) -> str:
