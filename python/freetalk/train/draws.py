@@ -85,8 +85,12 @@ class Draws:
         return self._engine.rank * self._engine.accumulation + number
 
     def _draw(self) -> list[Batch]:
-        accumulation = self._engine.accumulation
-        return [self._engine.to_device(next(self._batches)) for _ in range(accumulation)]
+        from accelerate.utils import send_to_device
+
+        return [  # copies from pinned memory do not wait
+            send_to_device(next(self._batches), self._engine.device, non_blocking=True)
+            for _ in range(self._engine.accumulation)
+        ]
 
     def _keys(self, step: int) -> Iterator[list[_Key]]:
         while True:

@@ -6,10 +6,7 @@ nothing to exchange.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
 from datetime import timedelta
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -25,6 +22,8 @@ class Engine:
     """This process among those that train together.
 
     Attributes:
+        accelerator: what computes, exchanges and saves.
+        is_main: whether this process writes files and shows progress.
         device: where this process computes.
         rank: number of this process.
         num_processes: how many train together.
@@ -40,10 +39,11 @@ class Engine:
     """
 
     def __init__(self, options: LoopOptions) -> None:
-        self._accelerator = _accelerator(options)
-        self.device: torch.device = self._accelerator.device
-        self.rank: int = self._accelerator.process_index
-        self.num_processes: int = self._accelerator.num_processes
+        self.accelerator = _accelerator(options)
+        self.is_main: bool = self.accelerator.is_main_process
+        self.device: torch.device = self.accelerator.device
+        self.rank: int = self.accelerator.process_index
+        self.num_processes: int = self.accelerator.num_processes
         self.accumulation = options.accumulation_steps
         shards = self.num_processes * self.accumulation
         if options.batch_size % shards:
@@ -54,13 +54,8 @@ class Engine:
             )
         self.batch_size = options.batch_size
         self.shard_size = options.batch_size // shards
-        self._accelerator.register_save_state_pre_hook(_save_unwrapped)
-        self._accelerator.register_load_state_pre_hook(_load_unwrapped)
-
-    @property
-    def is_main(self) -> bool:
-        """Whether this process writes files and shows progress."""
-        return self.rank == 0
+        self.accelerator.register_save_state_pre_hook(_save_unwrapped)
+        self.accelerator.register_load_state_pre_hook(_load_unwrapped)
 
     def use_device(self) -> None:
         """Makes the calling thread use this process's GPU."""
@@ -80,73 +75,25 @@ class Engine:
         from accelerate import DistributedDataParallelKwargs
 
         settings = DistributedDataParallelKwargs(find_unused_parameters=skips_layers)
-        self._accelerator.ddp_handler = settings
-        prepared: nn.Module = self._accelerator.prepare_model(module)
-        return prepared, self._accelerator.prepare_optimizer(optimizer)
+        self.accelerator.ddp_handler = settings
+        prepared: nn.Module = self.accelerator.prepare_model(module)
+        return prepared, self.accelerator.prepare_optimizer(optimizer)
 
     def keep(self, module: nn.Module) -> None:
         """Makes a module that is not trained part of the saved state."""
-        self._accelerator.prepare_model(module, device_placement=False, evaluation_mode=True)
-
-    def backward(self, loss: Tensor) -> None:
-        """Gradients of a loss, scaled where the precision needs it."""
-        self._accelerator.backward(loss)
-
-    def clip(self, parameters: Iterable[nn.Parameter], largest: float) -> Tensor:
-        """Norm of the gradients, which it limits."""
-        return self._accelerator.clip_grad_norm_(list(parameters), largest)
+        self.accelerator.prepare_model(module, device_placement=False, evaluation_mode=True)
 
     @property
     def scale(self) -> float | None:
         """What fp16 gradients are multiplied by; ``None`` in other precisions."""
-        scaler = self._accelerator.scaler
+        scaler = self.accelerator.scaler
         return None if scaler is None else float(scaler.get_scale())
-
-    def last_of_step(self, module: nn.Module, last: bool) -> AbstractContextManager[None]:
-        """Gradients are exchanged only by the last of a step's passes."""
-        return nullcontext() if last else self._accelerator.no_sync(module)
-
-    def save_state(self, folder: Path) -> None:
-        """Writes weights, optimiser and scaler."""
-        self._accelerator.save_state(str(folder))
-
-    def load_state(self, folder: Path) -> None:
-        """Reads back what :meth:`save_state` wrote, in any number of processes."""
-        self._accelerator.load_state(str(folder))
 
     def mean(self, values: Tensor) -> Tensor:
         """Mean over the processes, the same in each."""
         if self.num_processes == 1:
             return values
-        return self._accelerator.reduce(values, reduction="mean")
-
-    def gathered(self, value: Any) -> list[Any]:
-        """Every process's value, in order, in each."""
-        if self.num_processes == 1:
-            return [value]
-        from accelerate.utils import gather_object
-
-        return gather_object([value])
-
-    def from_main(self, value: Any) -> Any:
-        """The main process's value, in each; waits for it."""
-        if self.num_processes == 1:
-            return value
-        from accelerate.utils import broadcast_object_list
-
-        return broadcast_object_list([value])[0]
-
-    @contextmanager
-    def main_first(self) -> Iterator[None]:
-        """The main process goes first, the others after it: for what is cached on disk."""
-        with self._accelerator.main_process_first():
-            yield
-
-    def to_device(self, batch: Any) -> Any:
-        """Tensors of nested containers on this process's device; copies from pinned memory do not wait."""
-        from accelerate.utils import send_to_device
-
-        return send_to_device(batch, self.device, non_blocking=True)
+        return self.accelerator.reduce(values, reduction="mean")
 
 
 class StepLoss(nn.Module):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -163,7 +163,9 @@ class Trainer:
             group["lr"] = self._learning_rate()
         self.optimizer.zero_grad(set_to_none=True)
         passes = [self._pass(draws, batches, number) for number in range(len(batches))]
-        norm = self.engine.clip(self.task.model.parameters(), self.options.grad_clip or math.inf)
+        norm = self.engine.accelerator.clip_grad_norm_(
+            list(self.task.model.parameters()), self.options.grad_clip or math.inf
+        )
         names = list(passes[0])
         if self._unread and names != self._names:  # a stage with other terms has begun
             self._read(draws)
@@ -189,9 +191,10 @@ class Trainer:
         generator = draws.generator(self.step, number)
         # Dropout draws globally.
         torch.manual_seed(step_seed(self.options.seed + 1, self.step, draws.shard(number)))
-        with self.engine.last_of_step(self.module, number == len(batches) - 1):
+        accelerator, last = self.engine.accelerator, number == len(batches) - 1
+        with nullcontext() if last else accelerator.no_sync(self.module):  # the last exchanges them
             terms: dict[str, Tensor] = self.module(batches[number], generator)
-            self.engine.backward(terms["loss"] / len(batches))
+            accelerator.backward(terms["loss"] / len(batches))
         return {name: value.detach() for name, value in terms.items()}
 
     def _read(self, draws: Draws) -> dict[str, float]:
@@ -286,11 +289,13 @@ class Trainer:
 
     def _validate(self, progress: Progress) -> None:
         """Scores the weights, each process its part, and exports them where they are the best."""
+        from accelerate.utils import gather_object
+
         began = time.perf_counter()
         with self._evaluating():
             part = self.task.validate(self.engine.rank, self.engine.num_processes)
-            parts = [record for own in self.engine.gathered(part) for record in own]
-            records = [record for _, record in sorted(parts, key=lambda numbered: numbered[0])]
+            parts = sorted(gather_object(part), key=lambda numbered: numbered[0])
+            records = [record for _, record in parts]
             # Lips that never move have no correlation; JSON has no NaN, and C++ reads the scores.
             found = self.task.scores(records).items()
             self.scores = {name: value for name, value in found if math.isfinite(value)}
@@ -321,7 +326,7 @@ class Trainer:
             path = self.out / "samples" / self.config.kind / f"step_{self.step:07d}"
             picture = save_sample(sample, path)
             progress.show_picture(self.step, picture, time.perf_counter() - began)
-        self.engine.from_main(None)
+        self.engine.accelerator.wait_for_everyone()
 
     def _training_record(self) -> dict[str, Any]:
         return {
@@ -341,7 +346,7 @@ class Trainer:
         """Saves what the training goes on from; `whole` where nothing is left to do."""
         if self.engine.is_main and self._saved_step != self.step:
             self._save(whole)
-        self.engine.from_main(None)
+        self.engine.accelerator.wait_for_everyone()
 
     def _save(self, whole: bool) -> None:
         """Writes a checkpoint of the steps so far."""
@@ -355,7 +360,7 @@ class Trainer:
         }
 
         def write(folder: Path) -> None:
-            self.engine.save_state(folder / "state")
+            self.engine.accelerator.save_state(str(folder / "state"))
             with self._evaluating():
                 self.task.export(folder, self._training_record())
 
@@ -379,7 +384,7 @@ class Trainer:
         if found is None:
             return False
         state = load_state(found)
-        self.engine.load_state(found / "state")
+        self.engine.accelerator.load_state(str(found / "state"))
         self.step = int(state["step"])
         self.elapsed_s = float(state["elapsed_s"])
         self.best = math.inf if state["best"] is None else float(state["best"])

@@ -95,7 +95,7 @@ def train_dataset(
         _keep_memory()
     if config.loop.render_every > 0 and engine.is_main:
         check_video_support()
-    with engine.main_first():
+    with engine.accelerator.main_process_first():
         corpus = dataset()
         check_continues(out / "checkpoints" / config.kind, config, corpus.fingerprint)
         task = make_task(config, corpus, out, engine.device)
