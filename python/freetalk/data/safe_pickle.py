@@ -139,32 +139,12 @@ def _encode(text: object, encoding: object = "latin1") -> bytes:
     return text.encode("latin1")
 
 
-def _make_complex(real: float = 0.0, imaginary: float = 0.0) -> complex:
-    return complex(float(real), float(imaginary))
-
-
-def _make_set(items: Any = ()) -> set[Any]:
-    return set(items)
-
-
-def _make_frozenset(items: Any = ()) -> frozenset[Any]:
-    return frozenset(items)
-
-
 def _make_bytearray(data: object = b"", encoding: object = "latin1") -> bytearray:
     if isinstance(data, str):
         data = _encode(data, encoding)
     if not isinstance(data, bytes):
         raise UnsafePickleError("it makes a bytearray of something else than bytes")
     return bytearray(data)
-
-
-def _make_bytes() -> bytes:
-    return b""  # old protocols store other bytes encoded
-
-
-def _make_ordered(items: Any = ()) -> OrderedDict[Any, Any]:
-    return OrderedDict(items)
 
 
 class _Maker:
@@ -195,12 +175,12 @@ _ADMITTED: dict[tuple[str, str], _Maker] = {
     **{(f"{m}.multiarray", "scalar"): _Maker(_make_number) for m in _NUMPY_MODULES},
     **{(f"{m}.numeric", "_frombuffer"): _Maker(_make_array_of_bytes) for m in _NUMPY_MODULES},
     ("_codecs", "encode"): _Maker(_encode),
-    ("collections", "OrderedDict"): _Maker(_make_ordered),
-    ("builtins", "set"): _Maker(_make_set),
-    ("builtins", "frozenset"): _Maker(_make_frozenset),
-    ("builtins", "bytes"): _Maker(_make_bytes),
+    ("collections", "OrderedDict"): _Maker(OrderedDict),
+    ("builtins", "set"): _Maker(set),
+    ("builtins", "frozenset"): _Maker(frozenset),
+    ("builtins", "bytes"): _Maker(lambda: b""),  # old protocols store other bytes encoded
     ("builtins", "bytearray"): _Maker(_make_bytearray),
-    ("builtins", "complex"): _Maker(_make_complex),
+    ("builtins", "complex"): _Maker(complex),
 }
 
 
