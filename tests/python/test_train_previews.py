@@ -11,8 +11,9 @@ from mini_corpus import write_mini_corpus
 
 from freetalk.data import open_dataset
 from freetalk.train import load_config, run
-from freetalk.train.previews import MeanFace, Sample, ShowsSamples, save_sample
+from freetalk.train.previews import MeanFace, Sample, save_sample
 from freetalk.train.run import make_task
+from freetalk.train.stm import StmTask
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 QUICK = ["loop.threads=1", "loop.device=cpu"]
@@ -49,7 +50,7 @@ def test_a_sample_is_shown_beside_the_truth(tmp_path: Path) -> None:
 def test_a_landmark_network_shows_a_held_out_face(corpus: Path, tmp_path: Path) -> None:
     config = load_config("stm", CONFIGS / "stm_smoke.yaml", QUICK)
     task = make_task(config, open_dataset(corpus), tmp_path, torch.device("cpu"))
-    assert isinstance(task, ShowsSamples)
+    assert isinstance(task, StmTask)
     with torch.no_grad():
         sample = task.sample()
     assert len(sample.vertices) == 100  # the meshing of the val split

@@ -19,6 +19,9 @@ from freetalk.train.task_options import (
     SpeechTaskOptions,
     StmTaskOptions,
     require,
+    require_known,
+    require_none_negative,
+    require_positive,
 )
 
 
@@ -92,28 +95,21 @@ class LoopOptions:
 
     def check(self) -> None:
         """Raises ValueError where a value is out of range."""
-        require(self.seed >= 0, "loop.seed must not be negative", self.seed)
-        for name in ("batch_size", "accumulation_steps", "keep_checkpoints"):
-            require(getattr(self, name) > 0, f"loop.{name} must be positive", getattr(self, name))
-        require(self.epochs >= 0, "loop.epochs must not be negative", self.epochs)
+        positive = ("batch_size", "accumulation_steps", "keep_checkpoints", "max_steps")
+        require_positive(self, *positive, "learning_rate", section="loop")
+        require_none_negative(self, "seed", "epochs", section="loop")
+        require_known(self, "lr_schedule", "cosine", "cosine_minutes", "constant", section="loop")
+        require_known(self, "device", "auto", "cpu", "cuda", section="loop")
+        require_known(self, "keep", "best", "last", section="loop")
+        for one in self.loggers:
+            require(one in LOGGERS, f"loop.loggers must be of {', '.join(LOGGERS)}", one)
         require(
             self.lr_schedule != "cosine_minutes" or self.max_minutes > 0,
             "loop.lr_schedule cosine_minutes needs loop.max_minutes",
             self.max_minutes,
         )
-        require(self.max_steps > 0, "loop.max_steps must be positive", self.max_steps)
-        require(self.learning_rate > 0, "loop.learning_rate must be positive", self.learning_rate)
         require(0 <= self.ema_decay < 1, "loop.ema_decay must be in [0, 1)", self.ema_decay)
         require(not (self.bf16 and self.fp16), "loop.bf16 and loop.fp16 exclude each other", "both")
-        choices = {
-            "loop.lr_schedule": (self.lr_schedule, ("cosine", "cosine_minutes", "constant")),
-            "loop.device": (self.device, ("auto", "cpu", "cuda")),
-            "loop.keep": (self.keep, ("best", "last")),
-        }
-        for logger in self.loggers:
-            choices[f"loop.loggers, {logger},"] = (logger, LOGGERS)
-        for name, (value, known) in choices.items():
-            require(value in known, f"{name} must be one of {', '.join(known)}", value)
 
 
 TaskOptions = (

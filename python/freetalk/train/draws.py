@@ -4,30 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
 from torch.utils.data import DataLoader, Dataset
 
 from freetalk.train.engine import Engine
+from freetalk.train.task import Batch, Task
 
-Batch = dict[str, Any]
 _Key = tuple[int, int]
-
-
-class DrawsItems(Protocol):
-    """A task whose items are drawn one by one: a step sees the same ones in any number of processes.
-
-    A batch's ``counts`` (a tensor of what its sums are divided by) is replaced by the mean over the
-    step's shards, so that the mean of the shards' losses is the loss of the whole.
-    """
-
-    def item(self, rng: np.random.Generator, number: int) -> Any:
-        """The `number`-th item of the training; `rng` is its own. Touches no GPU: workers call it."""
-
-    def collate(self, items: list[Any]) -> Batch:
-        """Items as a batch, on the CPU."""
 
 
 class Draws:
@@ -42,7 +28,7 @@ class Draws:
     """
 
     def __init__(
-        self, task: DrawsItems, engine: Engine, seed: int, workers: int = 0, step: int = 0
+        self, task: Task, engine: Engine, seed: int, workers: int = 0, step: int = 0
     ) -> None:
         self._task, self._engine, self._seed = task, engine, seed
         self._items = _Items(task, seed, engine.batch_size)
@@ -116,7 +102,7 @@ class Draws:
 class _Items(Dataset[Any]):
     """The task's items by step and place in the step."""
 
-    def __init__(self, task: DrawsItems, seed: int, batch_size: int) -> None:
+    def __init__(self, task: Task, seed: int, batch_size: int) -> None:
         self._task, self._seed, self._batch_size = task, seed, batch_size
 
     def __getitem__(self, key: _Key) -> Any:

@@ -20,12 +20,12 @@ from torch.optim.swa_utils import AveragedModel
 from freetalk.train.checkpoint import find_checkpoint, git_commit, load_state, save_checkpoint
 from freetalk.train.checks import check_continues
 from freetalk.train.config import LoopOptions, TrainingConfig
-from freetalk.train.draws import Batch, Draws, step_seed
+from freetalk.train.draws import Draws, step_seed
 from freetalk.train.engine import Engine, StepLoss
 from freetalk.train.interrupts import stop_requests
-from freetalk.train.previews import ShowsSamples, save_sample
+from freetalk.train.previews import save_sample
 from freetalk.train.progress import Progress, notice
-from freetalk.train.task import Task, TrainingResult
+from freetalk.train.task import Batch, Task, TrainingResult
 from freetalk.train.weights import moving_average, parameter_groups
 
 #: An fp16 scale below which gradients overflow whatever it is.
@@ -319,10 +319,11 @@ class Trainer:
         return -self.scores[name] if higher else self.scores[name]
 
     def _render(self, progress: Progress) -> None:
-        if self.engine.is_main and isinstance(self.task, ShowsSamples):
+        draw = getattr(self.task, "sample", None)  # an encoder or a head has nothing that moves
+        if self.engine.is_main and draw is not None:
             began = time.perf_counter()
             with self._evaluating():
-                sample = self.task.sample()
+                sample = draw()
             path = self.out / "samples" / self.config.kind / f"step_{self.step:07d}"
             picture = save_sample(sample, path)
             progress.show_picture(self.step, picture, time.perf_counter() - began)

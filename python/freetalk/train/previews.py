@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -46,14 +45,6 @@ class Sample:
     fps: float
     audio: FloatArray = field(default_factory=lambda: np.zeros(0, np.float32))
     sample_rate_hz: int = 16000
-
-
-@runtime_checkable
-class ShowsSamples(Protocol):
-    """A task whose model's output can be looked at."""
-
-    def sample(self) -> Sample:
-        """A sample of the current weights on held-out data, the same one at each call."""
 
 
 class MeanFace:

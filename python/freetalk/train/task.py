@@ -7,14 +7,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
-from freetalk.train.draws import Batch, DrawsItems
+Batch = dict[str, Any]
 
 
-class Task(DrawsItems, Protocol):
-    """What differs between the trainings."""
+class Task(Protocol):
+    """What differs between the trainings. Items are drawn one by one: a step sees the same ones in any number of
+    processes."""
+
+    def item(self, rng: np.random.Generator, number: int) -> Any:
+        """The `number`-th item of the training; `rng` is its own. Touches no GPU: workers call it."""
+
+    def collate(self, items: list[Any]) -> Batch:
+        """Items as a batch, on the CPU."""
 
     @property
     def epochs(self) -> Sized | None:

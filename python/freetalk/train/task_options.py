@@ -16,15 +16,21 @@ def require_shares(options: object, *names: str) -> None:
         require(0 <= value <= 1, f"task.{name} must be in [0, 1]", value)
 
 
-def require_positive(options: object, *names: str) -> None:
+def require_positive(options: object, *names: str, section: str = "task") -> None:
     for name in names:
         value = getattr(options, name)
-        require(value > 0, f"task.{name} must be positive", value)
+        require(value > 0, f"{section}.{name} must be positive", value)
 
 
-def require_known(options: object, name: str, *known: str) -> None:
+def require_none_negative(options: object, *names: str, section: str = "task") -> None:
+    for name in names:
+        value = getattr(options, name)
+        require(value >= 0, f"{section}.{name} must not be negative", value)
+
+
+def require_known(options: object, name: str, *known: str, section: str = "task") -> None:
     value = getattr(options, name)
-    require(value in known, f"task.{name} must be one of {', '.join(known)}", value)
+    require(value in known, f"{section}.{name} must be one of {', '.join(known)}", value)
 
 
 @dataclass
@@ -239,9 +245,7 @@ class StmTaskOptions:
     def check(self) -> None:
         """Raises ValueError where a value is out of range."""
         require(self.frames >= 3, "task.frames must be at least 3", self.frames)
-        for name in ("operator_memory_gb", "plain_weight"):
-            value = getattr(self, name)
-            require(value >= 0, f"task.{name} must not be negative", value)
+        require_none_negative(self, "operator_memory_gb", "plain_weight")
         require(0 <= self.scale_range < 1, "task.scale_range must be in [0, 1)", self.scale_range)
         require_shares(self, "crops", "bends", "sculpts")
         require(
