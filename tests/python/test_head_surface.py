@@ -103,6 +103,7 @@ def test_surfaces_that_leave_the_box_are_closed_or_refused(trained: ParametricHe
         )
 
 
+@pytest.mark.slow
 def test_smoothing_moves_the_surface_to_rest_away_from_the_face(trained: ParametricHead) -> None:
     z_id, z_exp = codes(trained, 1)
     head = PreparedHead(trained, z_id)

@@ -130,6 +130,7 @@ def test_a_users_network_compiles_into_one_graph() -> None:
         torch.testing.assert_close(found, expected)
 
 
+@pytest.mark.slow
 def test_native_networks_work_inside_compiled_functions() -> None:
     """They run as they are; what is around them is compiled."""
     operators = surface_operators(*grid(), k=10, cache=False).to(torch.float32)

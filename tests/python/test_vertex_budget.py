@@ -119,6 +119,7 @@ def test_other_arguments_are_refused() -> None:
         to_vertex_budget(ball(), 10, np.zeros(len(ball().vertices)))
 
 
+@pytest.mark.slow
 def test_the_command_spends_them_on_the_face(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
