@@ -189,7 +189,9 @@ void bind_surgery(py::module_& m) {
           "and "
           "earlier ones.");
   py::class_<LipSlit, Reshaped>(m, "LipSlit", "A mesh whose lips were cut apart.")
-      .def_readonly("edges", &LipSlit::edges, "Of the slit.");
+      .def_readonly("edges", &LipSlit::edges, "Of the slit.")
+      .def_readonly("pocket_polygons", &LipSlit::pocket_polygons, "The last ones: the pocket's.")
+      .def_readonly("pocket_vertices", &LipSlit::pocket_vertices, "The last ones: the pocket's.");
   m.def("lips_are_joined", &mesh::lips_are_joined, py::arg("vertices"), py::arg("faces"),
         py::arg("landmarks"), NoGil(), "Whether upper and lower lip are one skin.");
   m.def("cut_lips", &mesh::cut_lips, py::arg("mesh"), py::arg("landmarks"), py::kw_only(),

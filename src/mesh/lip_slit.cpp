@@ -75,9 +75,12 @@ class Surgery : public SurfacePatch {
     put_together(slit);
     for (const int v : below_) slit.mesh.vertices(v, 1) -= options_.gap;
     slit.edges = static_cast<int64_t>(path_.size()) - 1;
+    const auto polygons = slit.mesh.polygons.size(), vertices = slit.added.size();
     if (options_.depth > 0) {
       sew_pocket(upper_, lower_, options_.depth, rim_polygon_, slit);
     }
+    slit.pocket_polygons = static_cast<int64_t>(slit.mesh.polygons.size() - polygons);
+    slit.pocket_vertices = static_cast<int64_t>(slit.added.size() - vertices);
     return slit;
   }
 

@@ -31,9 +31,9 @@ Eigen::MatrixXd distances_of(const Eigen::MatrixXd& vertices, const Eigen::Matri
 void FollowOptions::check() const {
   kriging.check();
   FREETALK_CHECK(farthest > 0, "STM: farthest must be positive, found ", farthest);
-  FREETALK_CHECK(detail >= 0 && coarsest >= 0,
-                 "STM: detail and coarsest must not be negative, found ", detail, " and ",
-                 coarsest);
+  FREETALK_CHECK(detail >= 0 && coarsest >= 0 && finest >= 0,
+                 "STM: detail, coarsest and finest must not be negative, found ", detail, ", ",
+                 coarsest, " and ", finest);
   FREETALK_CHECK(near >= 0 && far > near, "STM: far must be above near, found ", far, " and ",
                  near);
 }
@@ -68,7 +68,8 @@ LandmarkFollower::LandmarkFollower(const Eigen::MatrixXd& vertices, const Eigen:
   const Eigen::MatrixXd distances = distances_of(vertices, landmarks);
   reach_ = plain(
       distances.unaryExpr([&](double d) { return core::fade(d, options.near, options.far); }));
-  const Eigen::MatrixXd lengths = (options.detail * distances).cwiseMin(options.coarsest);
+  const Eigen::MatrixXd lengths =
+      (options.detail * distances).cwiseMin(options.coarsest).cwiseMax(options.finest);
   lengths_ = plain(lengths);
   if (lengths.maxCoeff() > 0) low_pass_.emplace(vertices, faces, lengths.col(0));
 }

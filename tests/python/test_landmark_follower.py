@@ -168,11 +168,11 @@ def test_the_surface_is_no_rougher_than_a_faces(
         features = stm.encode(torch.from_numpy(vertices).float(), operators)
     told = true[:, landmarks.tolist()].float()
 
-    def output(detail: float) -> torch.Tensor:
-        follower = follower_of(vertices, faces, detail=detail)
+    def output(**options: float) -> torch.Tensor:
+        follower = follower_of(vertices, faces, **options)
         return stm.frame_decoder(features, operators, follower=follower).decode(told)
 
-    rough, smooth = output(0.0), output(FollowOptions().detail)
+    rough, smooth = output(detail=0.0, finest=0.0), output()
     distance = np.linalg.norm(vertices[:, None] - vertices[landmarks][None], axis=-1)
     front = vertices[:, 2] > vertices[landmarks[[0, 16]], 2].min()
     lips = distance[:, 48:60].min(axis=1) < 0.012

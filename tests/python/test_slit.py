@@ -131,6 +131,7 @@ def test_the_command_cuts_and_keeps_materials_and_colours(
     side = material[np.asarray(mesh.face_polygon)]
     assert set(side[middles[:, 0] < -0.03]) == {0}
     assert set(side[middles[:, 0] > 0.03]) == {1}
+    assert set(side[np.linalg.norm(middles - marks[62] + [0, 0, 0.02], axis=1) < 0.01]) == {2}
     assert (out.parent / "head_skin.png").read_bytes() == PIXEL
     colours = np.asarray(look.colours)[: len(vertices), :3]
     np.testing.assert_allclose(colours, np.clip(shade, 0, 1), atol=1e-6)

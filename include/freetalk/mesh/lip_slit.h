@@ -34,7 +34,8 @@ struct SlitOptions {
 };
 
 struct LipSlit : Reshaped {
-  int64_t edges = 0;  ///< of the slit
+  int64_t edges = 0;                                 ///< of the slit
+  int64_t pocket_polygons = 0, pocket_vertices = 0;  ///< the last ones are those of the pocket
 };
 
 /// Cuts along the crease between the lips from corner to corner (landmarks 60 and 64), lowers the

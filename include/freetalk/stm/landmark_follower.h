@@ -24,7 +24,8 @@ struct FollowOptions {
   geometry::KrigingOptions kriging;  // of the difference; range in metres
   double farthest = 0.012;  // m: a landmark farther from the surface than this is not followed
   double detail = 0.25;     // length of the low-pass, share of the way to the nearest landmark;
-  double coarsest = 0.006;  // m: but no longer than this. 0 keeps the network's detail
+  double coarsest = 0.006;  // m: but no longer than this, and
+  double finest = 0.002;    // m: no shorter. 0 for all three keeps the network's detail
   double near = 0.07;       // m: motion is whole nearer to a landmark than this,
   double far = 0.12;        // m: and none beyond this
   template <class V>
@@ -33,6 +34,7 @@ struct FollowOptions {
     v("farthest", farthest);
     v("detail", detail);
     v("coarsest", coarsest);
+    v("finest", finest);
     v("near", near);
     v("far", far);
   }

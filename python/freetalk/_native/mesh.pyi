@@ -271,6 +271,16 @@ class LipSlit(Reshaped):
         """
         Of the slit.
         """
+    @property
+    def pocket_polygons(self) -> int:
+        """
+        The last ones: the pocket's.
+        """
+    @property
+    def pocket_vertices(self) -> int:
+        """
+        The last ones: the pocket's.
+        """
 
 class Budgeted(Reshaped):
     """

@@ -134,6 +134,7 @@ class FollowOptions:
     detail: typing.Any
     far: typing.Any
     farthest: typing.Any
+    finest: typing.Any
     near: typing.Any
     noise: typing.Any
     range: typing.Any

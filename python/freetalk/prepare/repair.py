@@ -30,6 +30,7 @@ from freetalk.mesh import (
     save_mesh,
     to_vertex_budget,
 )
+from freetalk.viz.appearance import MOUTH_INSIDE
 
 #: A part with less than this share of the polygons floats beside the face by mistake.
 FLOATING = 0.002
@@ -215,7 +216,12 @@ def open_lips(
         name=mesh.name,
     )
     colours = _mixed(np.asarray(prepared.appearance.colours), slit)
-    look = prepared.appearance.carried(slit.polygon_origin, colours)
+    skin = len(slit.polygon_origin) - slit.pocket_polygons
+    colours = colours[: len(vertices) - slit.pocket_vertices]
+    look = prepared.appearance.carried(slit.polygon_origin[:skin], colours)
+    if wanted.depth > 0:
+        inside = [("mouth", np.asarray(MOUTH_INSIDE) ** 2.2)]
+        look = look.with_parts(skin, inside, [0] * slit.pocket_polygons, slit.pocket_vertices)
     step = f"a slit of {slit.edges} edges cut between the lips"
     if wanted.depth > 0:
         step += ", an inner mouth sewn behind it"
