@@ -13,8 +13,12 @@
 namespace freetalk::head {
 namespace {
 
-constexpr int kHalvings = 3;       // of a step that made things worse
-constexpr double kDamping = 1e-6;  // of a system's mean diagonal
+constexpr int kHalvings = 3;           // of a step that made things worse
+constexpr double kDamping = 1e-6;      // of a system's mean diagonal
+constexpr double kWeightSpread = 0.2;  // of expression weights about their prior
+constexpr double kUnmapped =
+    0.1;  // spread of codes that no weights give, relative to those they do
+constexpr double kMadToSpread = 1.4826;  // of a normal distribution
 
 /// A frame's share of the normal equations, in double.
 struct Frame {
@@ -22,9 +26,19 @@ struct Frame {
   double cost = 0, error = 0;  // the robust mean; the mean |s| in head units
 };
 
+/// The points' spread about the surface, mm: that of most of them, if above sigma_mm.
+double spread_mm(const std::vector<Linearized>& rows, const FitOptions& options,
+                 double units_per_metre) {
+  std::vector<at::Tensor> sizes;
+  for (const Linearized& own : rows) sizes.push_back(own.distance.abs());
+  const double typical = at::cat(sizes).median().item<double>() / units_per_metre * 1e3;
+  return std::max(options.sigma_mm, kMadToSpread * typical);
+}
+
 /// mean_p rho(s / sigma), linearised: Huber's loss by reweighting.
-Frame normal_equations(const Linearized& rows, const FitOptions& options, double units_per_metre) {
-  const double sigma = options.sigma_mm * 1e-3 * units_per_metre;
+Frame normal_equations(const Linearized& rows, const FitOptions& options, double sigma_mm,
+                       double units_per_metre) {
+  const double sigma = sigma_mm * 1e-3 * units_per_metre;
   const double bend = options.huber_mm / options.sigma_mm;
   const at::Tensor r = rows.distance.to(at::kDouble) / sigma;
   const at::Tensor size = r.abs();
@@ -86,7 +100,7 @@ at::Tensor expression_steps(const std::vector<Frame>& frames, const at::Tensor& 
                                          damping(frame.matrix));
     right[t].sub_(frame.vector);
   }
-  return solve_chain(diagonal, right, count > 1 ? e : 0).to(at::kFloat);
+  return solve_chain(diagonal, right, count > 1 ? e : 0);
 }
 
 double mean_error(const std::vector<Frame>& frames) {
@@ -135,31 +149,72 @@ std::vector<at::Tensor> drawn(const std::vector<at::Tensor>& points, int64_t cou
   return result;
 }
 
+/// What expressions are sought in: y of z = L y, whose L L' is how the codes of expression weights
+/// vary about the face at rest; z itself where the head has no map of weights.
+struct ExpressionSpace {
+  explicit ExpressionSpace(ParametricHeadImpl& head) {
+    const at::NoGradGuard no_grad;
+    const int64_t dim = head.options().expression_dim, weights = head.options().num_weights;
+    basis = at::eye(dim, at::kDouble);
+    if (weights > 0) {
+      const at::Tensor moved = head.expression_code(at::eye(weights, at::kFloat)) -
+                               head.expression_code(at::zeros({1, weights}, at::kFloat));
+      const at::Tensor rows = kWeightSpread * moved.to(at::kDouble);  // (W, Z)
+      at::Tensor covariance = rows.t().mm(rows);
+      add_to_diagonal(covariance,
+                      kUnmapped * kUnmapped * covariance.diagonal().mean().item<double>() + 1e-12);
+      basis = at::linalg_cholesky(covariance);
+    }
+  }
+  at::Tensor codes(const at::Tensor& y) const {
+    return y.to(at::kDouble).mm(basis.t()).to(at::kFloat);
+  }
+  at::Tensor coordinates(const at::Tensor& codes) const {
+    return at::linalg_solve_triangular(basis, codes.to(at::kDouble).t(), false).t().contiguous();
+  }
+
+  at::Tensor basis;  // (Z, Z) double, lower triangular
+};
+
 Fit gauss_newton(ParametricHeadImpl& head, const at::Tensor& z_id,
                  const std::vector<at::Tensor>& points, const at::Tensor& prior,
                  const FitOptions& options, const FitCallback& on_step) {
   const double scale = head.options().units_per_metre;
-  const auto count = static_cast<int64_t>(points.size());
-  const auto at_codes = [&](int64_t t, const at::Tensor& z) {
-    const auto rows = linearize_expression(head, points[static_cast<size_t>(t)], z_id, z);
-    return normal_equations(rows, options, scale);
+  const ExpressionSpace space(head);
+  const at::Tensor slope = space.basis.to(at::kFloat);
+  const auto linearized = [&](size_t t, const at::Tensor& y) {
+    Linearized rows = linearize_expression(head, points[t], z_id, space.codes(y.unsqueeze(0))[0]);
+    rows.jacobian = rows.jacobian.mm(slope);
+    return rows;
   };
-  at::Tensor codes = prior.clone();
-  std::vector<Frame> frames;
-  for (int64_t t = 0; t < count; ++t) frames.push_back(at_codes(t, codes[t]));
+  const at::Tensor usual = space.coordinates(prior);
+  at::Tensor found = usual.clone();
+  std::vector<Linearized> rows;
+  std::vector<Frame> frames(points.size());
+  for (size_t t = 0; t < points.size(); ++t) {
+    rows.push_back(linearized(t, found[static_cast<int64_t>(t)]));
+  }
   for (int64_t iteration = 0; iteration < options.iterations; ++iteration) {
-    const at::Tensor before = codes;
-    codes = codes + expression_steps(frames, codes, prior, options);
-    std::vector<Frame> next;
-    for (int64_t t = 0; t < count; ++t) next.push_back(at_codes(t, codes[t]));
-    const double aim = objective(frames, before, prior, options);
-    for (int halving = 0; halving < kHalvings && objective(next, codes, prior, options) > aim;
+    const double sigma_mm = spread_mm(rows, options, scale);
+    for (size_t t = 0; t < points.size(); ++t) {
+      frames[t] = normal_equations(rows[t], options, sigma_mm, scale);
+    }
+    const at::Tensor before = found;
+    found = found + expression_steps(frames, found, usual, options);
+    std::vector<Frame> next(points.size());
+    const auto evaluate = [&](size_t t) {
+      rows[t] = linearized(t, found[static_cast<int64_t>(t)]);
+      next[t] = normal_equations(rows[t], options, sigma_mm, scale);
+    };
+    for (size_t t = 0; t < points.size(); ++t) evaluate(t);
+    const double aim = objective(frames, before, usual, options);
+    for (int halving = 0; halving < kHalvings && objective(next, found, usual, options) > aim;
          ++halving) {  // the frames that came out worse go half the way
       for (size_t t = 0; t < next.size(); ++t) {
         if (next[t].cost <= frames[t].cost) continue;
         const auto frame = static_cast<int64_t>(t);
-        codes[frame].add_(before[frame]).div_(2);
-        next[t] = at_codes(frame, codes[frame]);
+        found[frame].add_(before[frame]).div_(2);
+        evaluate(t);
       }
     }
     const double gain = (mean_error(frames) - mean_error(next)) / scale * 1e3;
@@ -167,7 +222,7 @@ Fit gauss_newton(ParametricHeadImpl& head, const at::Tensor& z_id,
     if (on_step) on_step(iteration + 1, options.iterations);
     if (std::abs(gain) < options.tolerance_mm) break;
   }
-  return {z_id.clone(), codes, errors_mm(frames, scale)};
+  return {z_id.clone(), space.codes(found), errors_mm(frames, scale)};
 }
 
 /// What the identity is sought in: coefficients of identity_map about 0, or its code in units of
@@ -295,7 +350,7 @@ Fit fit_identity(ParametricHead head, const std::vector<at::Tensor>& points,
       for (int64_t t = 0; t < count; ++t) {
         frames.push_back(normal_equations(
             linearize_both(*head, some[static_cast<size_t>(t)], space.code(u), codes[t]), options,
-            scale));
+            options.sigma_mm, scale));
       }
       return frames;
     };

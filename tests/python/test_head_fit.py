@@ -29,12 +29,13 @@ from freetalk.head import (
 RADIUS = 0.25  # head units
 
 
-def ball(direction: str = "both", coefficients: int = 0) -> ParametricHead:
+def ball(direction: str = "both", coefficients: int = 0, weights: int = 0) -> ParametricHead:
     """A head that is nearly a ball: its field is trained to be one, and codes move it a little."""
     head = tiny(
         direction=direction,
         normalizer_eps=1e-14,
         num_coefficients=coefficients,
+        num_weights=weights,
         kernel_width=0.15,
         identity_hidden=32,
     )
@@ -118,6 +119,25 @@ def test_neighbours_are_solved_together(trained: ParametricHead) -> None:
     spread = float(together.z_exp.std(0).max())
     assert spread < 1e-2 * float(apart.z_exp.std(0).max())
     assert float(together.error_mm.mean()) > float(apart.error_mm.mean())
+
+
+def test_codes_that_no_expression_has_follow_noise_less() -> None:
+    """Where a head maps weights to codes, scans' noise moves codes along those expressions alone."""
+    head = ball(weights=2)
+    z_id = 0.3 * torch.randn(head.identity_dim, generator=torch.Generator().manual_seed(5))
+    with torch.no_grad():
+        z_exp = head.expression_code(torch.tensor([[0.6, 0.2]]))[0]
+        ways = head.expression_code(torch.eye(2)) - head.expression_code(torch.zeros(1, 2))
+    points = surface_points(head, z_id, z_exp, 200)
+    noise = 1e-3 * torch.randn(points.shape, generator=torch.Generator().manual_seed(6))
+    clean, noisy = (
+        fit_expressions(head, z_id, [own], options=FitOptions(prior=1e-2, points=0)).z_exp[0]
+        for own in (points, points + noise)
+    )
+    change = noisy - clean
+    along = torch.linalg.lstsq(ways.T, change[:, None]).solution[:, 0] @ ways
+    assert float(along.norm()) > 0
+    assert float((change - along).norm()) < 0.5 * float(along.norm())
 
 
 def test_outliers_do_not_move_a_fit(trained: ParametricHead) -> None:

@@ -1,9 +1,12 @@
 // Codes of a parametric head from points of a surface: scans, registered meshes, depth.
 //
-//   sum_t mean_p rho(s(x_tp; z_id, z_t)) + prior |z_t - prior_t|^2 + temporal |z_t+1 - z_t|^2
+//   sum_t mean_p rho(s(x_tp; z_id, z_t)) + prior |y_t - prior_t|^2 + temporal |y_t+1 - y_t|^2
 //
 // "gauss_newton" linearises the distances of all frames and solves them together: the codes of a
-// sequence meet in one block-tridiagonal system. "adam" is FaceTalk's [Eq. 16-18]: windows of
+// sequence meet in one block-tridiagonal system. z = L y, where L L' is how the codes of expression
+// weights vary: what no expression does costs most. (y = z where a head has no weights, and where
+// an identity is sought too.) The unit of distances is the points' own spread about the surface,
+// found anew before each step. "adam" is FaceTalk's [Eq. 16-18]: windows of
 // frames, L1 distances, a Huber loss between neighbours and a small code.
 #pragma once
 
@@ -22,10 +25,11 @@ struct FitOptions {
   std::string method = "gauss_newton";  // or "adam"
   int64_t iterations = 8;               // of Gauss-Newton
   int64_t points = 1000;                // of a frame, drawn anew for each iteration; 0: all of them
-  double huber_mm = 1.0;   // distances beyond count linearly: points that are none of the head's
-  double sigma_mm = 0.3;   // spread of the points about the surface, the unit of distances
-  double prior = 1e-3;     // of a channel's square distance from its prior, in units of 1 / point
-  double temporal = 1e-2;  // of its square change from frame to frame, likewise; 0: frames alone
+  double sigma_mm = 0.3;  // least spread of the points about the surface, the unit of distances
+  double huber_mm = 1.0;  // distances beyond count linearly, where sigma_mm is the spread; in
+                          // proportion to it elsewhere
+  double prior = 1e-3;    // of a coordinate's square distance from its prior, in units of 1 / point
+  double temporal = 0.1;  // of its square change from frame to frame, likewise; 0: frames alone
   double tolerance_mm = 1e-3;  // of the mean distance: a smaller gain ends the iterations
   // FaceTalk's method [5].
   int64_t window = 10;  // frames
