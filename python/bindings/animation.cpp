@@ -129,8 +129,15 @@ void bind_parts(py::module_& m) {
 void bind_animation(py::module_& m) {
   bind_animation_type(m);
   bind_parts(m);
-  m.def("resample_motion", &animation::resample_motion, py::arg("motion"), py::arg("from_fps"),
-        py::arg("to_fps"), py::arg("num_frames"), NoGil());
+  m.def(
+      "resample_motion",
+      [](const at::Tensor& motion, double from_fps, double to_fps, int64_t num_frames,
+         const std::optional<at::Tensor>& landmarks) {
+        return animation::resample_motion(motion, from_fps, to_fps, num_frames,
+                                          landmarks.value_or(at::Tensor()));
+      },
+      py::arg("motion"), py::arg("from_fps"), py::arg("to_fps"), py::arg("num_frames"),
+      py::arg("landmarks") = py::none(), NoGil());
   m.def(
       "morph_basis",
       [](const at::Tensor& displacements, double tolerance, int64_t max_targets) {

@@ -347,20 +347,28 @@ def load_animation(
 
 
 def resample_motion(
-    motion: torch.Tensor, from_fps: float, to_fps: float, num_frames: int
+    motion: torch.Tensor,
+    from_fps: float,
+    to_fps: float,
+    num_frames: int,
+    landmarks: torch.Tensor | None = None,
 ) -> torch.Tensor:
     """Catmull-Rom interpolation in time; frame t of either rate is at t / fps.
+
+    Lips that close for a moment between two frames of the other rate would not be seen to: given the landmarks, the
+    frame nearest to such a moment shows it.
 
     Args:
         motion: (T, ...) floating point.
         from_fps: rate of ``motion``.
         to_fps: rate of the result.
         num_frames: length of the result.
+        landmarks: (T, 68, 3) displacements of the same frames, m; ``None``: every frame shows its own time.
 
     Returns:
         (num_frames, ...); held beyond the end of ``motion``.
     """
-    return _native.animation.resample_motion(motion, from_fps, to_fps, num_frames)
+    return _native.animation.resample_motion(motion, from_fps, to_fps, num_frames, landmarks)
 
 
 def morph_basis(

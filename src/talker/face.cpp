@@ -146,9 +146,8 @@ std::vector<animation::Animation> Face::animate_many(const audio::Audio& audio,
       };
       const auto* by_head = dynamic_cast<const HeadDecoder*>(face.decoder.get());
       if (by_head != nullptr && motion.codes.defined()) {
-        const at::Tensor codes = by_head->codes_of(motion.codes, face.models->facetalk->options()) +
-                                 by_head->codes_of(motion.landmarks) -
-                                 by_head->codes_of(motion.spoken);
+        const at::Tensor codes = by_head->codes_of(motion.codes, face.models->facetalk->options(),
+                                                   motion.spoken, motion.landmarks);
         by_head->decode_codes(
             codes, [&](int64_t first, const at::Tensor& skin) { progress_of(place(first, skin)); });
         decoded = {frames, frames, 0.0, 0.0};

@@ -87,37 +87,45 @@ HeadDecoder::HeadDecoder(const HeadDecoder& other, const head::PreparedHead& hea
 
 HeadDecoder::~HeadDecoder() = default;
 
-at::Tensor HeadDecoder::codes_of(const at::Tensor& landmarks) const {
-  const torch::NoGradGuard no_grad;
+at::Tensor HeadDecoder::weights_of(const at::Tensor& landmarks) const {
   const at::Tensor rows =
       (1e3 * landmarks.to(at::kCPU, at::kDouble)).flatten(1).contiguous();  // mm
-  head::ParametricHead model = head_.head();
-  at::Tensor codes = at::empty({rows.size(0), model->options().expression_dim}, at::kFloat);
+  at::Tensor weights = at::empty({rows.size(0), shapes_->weights.size(1)}, at::kFloat);
   for (int64_t frame = 0; frame < rows.size(0); ++frame) {
     std::vector<double> found(static_cast<size_t>(shapes_->weights.size(0)), 0.0);
     shapes_->solver.solve(
         Eigen::Map<const Eigen::VectorXd>(rows[frame].const_data_ptr<double>(), rows.size(1)),
         found);
     // Alone, so that its bits depend on no other frame.
-    const at::Tensor weights = at::tensor(found).to(at::kFloat).unsqueeze(0);
-    codes[frame].copy_(model->expression_code(weights.matmul(shapes_->weights))[0]);
+    weights[frame].copy_(at::tensor(found).to(at::kFloat).unsqueeze(0).matmul(shapes_->weights)[0]);
+  }
+  return weights;
+}
+
+at::Tensor HeadDecoder::codes_of(const at::Tensor& landmarks) const {
+  const torch::NoGradGuard no_grad;
+  const at::Tensor weights = weights_of(landmarks);
+  head::ParametricHead model = head_.head();
+  at::Tensor codes = at::empty({weights.size(0), model->options().expression_dim}, at::kFloat);
+  for (int64_t frame = 0; frame < weights.size(0); ++frame) {
+    codes[frame].copy_(model->expression_code(weights.narrow(0, frame, 1))[0]);
   }
   return codes;
 }
 
-at::Tensor HeadDecoder::codes_of(const at::Tensor& spoken,
-                                 const facetalk::FaceTalkOptions& options) const {
-  if (options.codes == "head") return spoken;
+at::Tensor HeadDecoder::codes_of(const at::Tensor& codes, const facetalk::FaceTalkOptions& options,
+                                 const at::Tensor& spoken, const at::Tensor& landmarks) const {
   const torch::NoGradGuard no_grad;
+  if (options.codes == "head") return codes + codes_of(landmarks) - codes_of(spoken);
   head::ParametricHead model = head_.head();
   const auto& own = model->options().expressions;
-  at::Tensor weights = at::zeros({spoken.size(0), static_cast<int64_t>(own.size())}, at::kFloat);
+  at::Tensor weights = weights_of(landmarks) - weights_of(spoken);
   for (size_t channel = 0; channel < options.expressions.size(); ++channel) {
     const auto found = std::find(own.begin(), own.end(), options.expressions[channel]);
     if (found == own.end()) continue;
-    weights.select(1, found - own.begin()).copy_(spoken.select(1, static_cast<int64_t>(channel)));
+    weights.select(1, found - own.begin()).add_(codes.select(1, static_cast<int64_t>(channel)));
   }
-  return model->expression_code(weights);
+  return model->expression_code(weights.clamp(0, 1));
 }
 
 void HeadDecoder::decode_codes(const at::Tensor& codes,

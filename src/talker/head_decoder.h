@@ -34,8 +34,10 @@ class HeadDecoder : public stm::LandmarkDecoder {
 
   /// Codes (T, expression_dim) that explain landmarks (T, 68, 3), m.
   at::Tensor codes_of(const at::Tensor& landmarks) const;
-  /// Codes of the head from what FaceTalk speaks (T, Z): itself, or weights of named expressions.
-  at::Tensor codes_of(const at::Tensor& spoken, const facetalk::FaceTalkOptions& options) const;
+  /// Codes of the head from what FaceTalk speaks (T, Z), codes of this head or weights of named
+  /// expressions, whose landmarks `spoken` (T, 68, 3) became `landmarks`. Weights stay in [0, 1].
+  at::Tensor codes_of(const at::Tensor& codes, const facetalk::FaceTalkOptions& options,
+                      const at::Tensor& spoken, const at::Tensor& landmarks) const;
   /// As decode(), of codes (T, expression_dim).
   void decode_codes(const at::Tensor& codes,
                     const std::function<void(int64_t, const at::Tensor&)>& sink) const;
@@ -45,6 +47,8 @@ class HeadDecoder : public stm::LandmarkDecoder {
  private:
   struct Shapes;
   struct Fastest;
+  /// Weights (T, num_weights) of the head's expressions that explain landmarks (T, 68, 3), m.
+  at::Tensor weights_of(const at::Tensor& landmarks) const;
   /// The same points under other numbers.
   HeadDecoder(const HeadDecoder& other, const head::PreparedHead& head);
 

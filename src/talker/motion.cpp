@@ -50,8 +50,8 @@ std::vector<Motion> spoken_motion(const TalkerModels& models, const audio::Audio
                          ? audio
                          : audio::resample(audio, speech::kSampleRateHz);
   const auto samples = at::tensor(heard.samples);
-  const auto at_rate = [&](const at::Tensor& motion, double fps) {
-    return animation::resample_motion(motion.to(at::kCPU), fps, options.fps, num_frames)
+  const auto at_rate = [&](const at::Tensor& motion, double fps, const at::Tensor& landmarks) {
+    return animation::resample_motion(motion.to(at::kCPU), fps, options.fps, num_frames, landmarks)
         .contiguous();
   };
   std::vector<Motion> result;
@@ -59,10 +59,12 @@ std::vector<Motion> spoken_motion(const TalkerModels& models, const audio::Audio
     const auto& speaker = models.facetalk;
     const double fps = speaker->options().fps;
     const auto codes = spoken_codes(models, samples, seeds, options, precision, device, stages);
+    const double gain = models.code_motion.articulation * options.articulation;
     for (const auto& one : codes.unbind()) {
-      const auto landmarks = speaker->landmarks(one);
-      result.push_back({at_rate(ats::articulate(landmarks, options.articulation), fps),
-                        at_rate(one, fps), at_rate(landmarks, fps)});
+      const auto spoken = speaker->landmarks(one);
+      const auto articulated = ats::articulate(spoken, gain);
+      result.push_back({at_rate(articulated, fps, articulated), at_rate(one, fps, articulated),
+                        at_rate(spoken, fps, articulated)});
     }
     return result;
   }
@@ -82,7 +84,7 @@ std::vector<Motion> spoken_motion(const TalkerModels& models, const audio::Audio
       generators, [&](int64_t done, int64_t total) {
         stages.at(static_cast<double>(done) / static_cast<double>(total));
       });
-  for (const auto& one : motion.unbind()) result.push_back({at_rate(one, own.fps), {}, {}});
+  for (const auto& one : motion.unbind()) result.push_back({at_rate(one, own.fps, one), {}, {}});
   return result;
 }
 

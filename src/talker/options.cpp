@@ -79,6 +79,11 @@ void AnimateOptions::check() const {
                  "tolerance_mm must not be negative, found ", tolerance_mm);
 }
 
+void CodeMotionOptions::check() const {
+  FREETALK_CHECK(articulation > 0 && articulation <= 3,
+                 "articulation must be above 0 and at most 3, found ", articulation);
+}
+
 void TalkerOptions::check() const {
   AnimateOptions::check();
   FaceOptions::check();

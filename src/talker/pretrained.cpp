@@ -40,8 +40,8 @@ Template load_template(const std::filesystem::path& path) {
   return face;
 }
 
-/// Checks talker.json and reads its optional "generate" object.
-ats::GenerateOptions load_description(const std::filesystem::path& path) {
+/// Checks talker.json and reads its optional objects "generate" and "facetalk".
+void load_description(const std::filesystem::path& path, TalkerModels& models) {
   const auto root = nlohmann::json::parse(core::read_text(path), nullptr, false);
   FREETALK_RUNTIME_CHECK(root.is_object(), path.string(), ": is not a JSON object");
   const std::string format = root.value("format", "");
@@ -49,11 +49,12 @@ ats::GenerateOptions load_description(const std::filesystem::path& path) {
                          ": expected format freetalk-talker, found '", format, "'");
   FREETALK_RUNTIME_CHECK(root.value("version", 0) == 1, path.string(), ": version ",
                          root.value("version", 0), " is newer than this freetalk; update it");
-  ats::GenerateOptions options;
   if (root.contains("generate")) {
-    core::options_from_json(options, root["generate"].dump(), path.string());
+    core::options_from_json(models.generate, root["generate"].dump(), path.string());
   }
-  return options;
+  if (root.contains("facetalk")) {
+    core::options_from_json(models.code_motion, root["facetalk"].dump(), path.string());
+  }
 }
 
 }  // namespace
@@ -64,7 +65,7 @@ Talker Talker::from_pretrained(const std::filesystem::path& directory,
   FREETALK_RUNTIME_CHECK(std::filesystem::is_regular_file(description), directory.string(),
                          ": holds no talker.json; give a folder of freetalk weights");
   TalkerModels models;
-  models.generate = load_description(description);
+  load_description(description, models);
   models.speech = speech::load_speech_encoder(directory / "speech");
   models.ats = core::load_model<ats::Ats, ats::AtsOptions>(directory / "ats", "freetalk-ats");
   models.stm = core::load_model<stm::Stm, stm::StmOptions>(directory / "stm", "freetalk-stm");

@@ -21,6 +21,16 @@ struct Template {
   Eigen::MatrixXd outward68;    // (68, 3) normals there; zero where unknown
 };
 
+/// How FaceTalk's motion is used.
+struct CodeMotionOptions {
+  double articulation = 1.0;  // in (0, 3], gain of the mouth's motion, see ats::articulate()
+  template <class V>
+  void fields(V& v) {
+    v("articulation", articulation);
+  }
+  void check() const;
+};
+
 struct TalkerModels {
   speech::SpeechEncoder speech{nullptr};
   ats::Ats ats{nullptr};
@@ -29,6 +39,7 @@ struct TalkerModels {
   head::ParametricHead head{nullptr};  // of FaceOptions::engine "head", on the CPU; empty: none
   Template face;
   ats::GenerateOptions generate;  // the weights' own sampling options
+  CodeMotionOptions code_motion;  // and what they say of AnimateOptions::motion "facetalk"
   rig::RigPoses rig;              // of the rigs of faces; without names: none
 };
 

@@ -258,4 +258,5 @@ def resample_motion(
     from_fps: typing.SupportsFloat | typing.SupportsIndex,
     to_fps: typing.SupportsFloat | typing.SupportsIndex,
     num_frames: typing.SupportsInt | typing.SupportsIndex,
+    landmarks: torch.Tensor | None = None,
 ) -> torch.Tensor: ...

@@ -31,6 +31,10 @@ def add_pack(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--steps", type=int, metavar="N", help=steps_help)
     gain_help = "gain of the mouth's motion at which it goes as far as recorded mouths do"
     parser.add_argument("--articulation", type=float, default=1.0, metavar="A", help=gain_help)
+    codes_help = "the same of FaceTalk's motion"
+    parser.add_argument(
+        "--code-articulation", type=float, default=1.0, metavar="A", help=codes_help
+    )
     parser.add_argument(
         "--untraceable", action="store_true", help="take weights of an unknown commit or data"
     )
@@ -65,6 +69,7 @@ def run(arguments: argparse.Namespace) -> None:
         NUM_STEPS if arguments.steps is None else arguments.steps,
         MOUTH_TEMPERATURE if temperature is None else temperature,
         arguments.articulation,
+        arguments.code_articulation,
     )
     if lacking:
         raise ValueError(lacking)

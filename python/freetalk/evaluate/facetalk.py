@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from freetalk.ats import articulate
 from freetalk.data import Dataset, MotionSequence
 from freetalk.evaluate.pretrained import FloatArray, at_rate, device_of
 from freetalk.facetalk import FaceTalk, GenerateOptions, generate
@@ -23,6 +24,7 @@ class SpeechToCodes:
         weights: folder that ``freetalk train facetalk`` wrote.
         sampling: fields of ``facetalk.GenerateOptions``.
         device: where it runs, see :func:`device_of`.
+        articulation: gain of the mouth's motion, see :func:`freetalk.ats.articulate`.
     """
 
     def __init__(
@@ -31,8 +33,10 @@ class SpeechToCodes:
         weights: Path,
         sampling: Mapping[str, object],
         device: torch.device | str | None = None,
+        articulation: float = 1.0,
     ) -> None:
         self.device = device_of(device)
+        self.articulation = articulation
         self.model = FaceTalk.from_pretrained(weights).to(self.device).eval()
         self.options = GenerateOptions.from_dict(dict(sampling))
         self.fps = float(self.model.options.fps)
@@ -50,17 +54,18 @@ class SpeechToCodes:
         """Of a folder with ``speech`` and ``facetalk``, sampled as a talker does.
 
         Args:
-            directory: the folder; its ``talker.json`` says at which temperature.
+            directory: the folder; its ``talker.json`` says at which temperature and articulation.
             sampling: fields of ``facetalk.GenerateOptions`` that win over a talker's.
             device: see :func:`device_of`.
         """
         path = Path(directory)
         usual: dict[str, object] = {"sampler": "dpmpp", "num_steps": 20}
         about = path / "talker.json"
-        if about.is_file():
-            own = json.loads(about.read_text()).get("generate", {})
-            usual["temperature"] = own.get("mouth_temperature", 1.0)
-        return cls(path / "speech", path / "facetalk", {**usual, **(sampling or {})}, device)
+        own = json.loads(about.read_text()) if about.is_file() else {}
+        if own:
+            usual["temperature"] = own.get("generate", {}).get("mouth_temperature", 1.0)
+        gain = float(own.get("facetalk", {}).get("articulation", 1.0))
+        return cls(path / "speech", path / "facetalk", {**usual, **(sampling or {})}, device, gain)
 
     def heard(self, dataset: Dataset, clip: MotionSequence) -> torch.Tensor:
         """Speech features or landmarks at the model's frames, (T, C), on the device."""
@@ -93,5 +98,6 @@ class SpeechToCodes:
             Clip and displacements (K, T, 68, 3) m, at the clip's frame rate.
         """
         for clip, own in zip(clips, seeds, strict=True):
-            landmarks = self.model.landmarks(self.codes(self.heard(dataset, clip), own))
-            yield clip, np.stack([at_rate(one, self.fps, clip) for one in landmarks.cpu().numpy()])
+            codes = self.codes(self.heard(dataset, clip), own)
+            motions = articulate(self.model.landmarks(codes), self.articulation).cpu()
+            yield clip, np.stack([at_rate(one, self.fps, clip) for one in motions.numpy()])

@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from freetalk.animation import resample_motion
 from freetalk.ats import Ats, GenerateOptions, generate, generate_batch
-from freetalk.data import Dataset, MotionSequence, interpolate_frames
+from freetalk.data import Dataset, MotionSequence
 from freetalk.speech import SpeechEncoder, encode_speech
 from freetalk.stm import FrameDecoder, Stm
 from freetalk.train.stm_landmarks import FaceLandmarks
@@ -193,6 +194,8 @@ class LandmarksToMesh:
 
 
 def at_rate(motion: FloatArray, fps: float, clip: MotionSequence) -> FloatArray:
-    """Motion at `fps` as the clip's frames, linear in between."""
-    at = np.arange(clip.num_frames) * fps / clip.fps
-    return interpolate_frames(motion, at[at <= len(motion) - 1 + 1e-6])
+    """Landmark motion at `fps` as the clip's frames, as a talker has it, as far as it goes."""
+    count = int(((np.arange(clip.num_frames) * fps / clip.fps) <= len(motion) - 1 + 1e-6).sum())
+    spoken = torch.from_numpy(motion)
+    moved: FloatArray = resample_motion(spoken, fps, clip.fps, count, spoken).numpy()
+    return moved

@@ -23,6 +23,7 @@ def assemble(
     num_steps: int = NUM_STEPS,
     mouth_temperature: float = MOUTH_TEMPERATURE,
     articulation: float = 1.0,
+    code_articulation: float = 1.0,
 ) -> str:
     """Makes an output folder with all stages a folder of weights.
 
@@ -33,6 +34,7 @@ def assemble(
         num_steps: denoising steps, unless a user gives others.
         mouth_temperature: of sampling, likewise.
         articulation: gain of the mouth's motion at which it goes as far as recorded mouths do.
+        code_articulation: the same of FaceTalk's motion.
 
     Returns:
         One sentence on what the folder still lacks; empty where it is complete.
@@ -68,6 +70,8 @@ def assemble(
             "articulation": articulation,
         },
     }
+    if (out / "facetalk" / "config.json").is_file():
+        about["facetalk"] = {"articulation": code_articulation}
     write_json(out / "talker.json", about)
     return ""
 

@@ -1,6 +1,9 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
+#include <utility>
+#include <vector>
 
 #include "freetalk/animation/jaw.h"
 #include "freetalk/animation/morph.h"
@@ -69,6 +72,31 @@ TEST(Resample, HoldsTheLastFrame) {
   const auto longer = resample_motion(motion, 30, 30, 6);
   EXPECT_TRUE(at::equal(longer[5], motion[2]));
   EXPECT_EQ(resample_motion(motion.slice(0, 0, 1), 30, 50, 4).size(0), 4);
+}
+
+TEST(Resample, ShowsMomentsAtWhichLipsClose) {
+  // Lips 8 mm apart that meet at frames 5, 11 and 18 of 24 in a second.
+  at::Tensor landmarks = at::zeros({24, core::kNumLandmarks, 3}, at::kDouble);
+  for (const auto& [upper, lower] : core::kInnerLips) landmarks.select(1, lower).fill_(-0.008);
+  for (const int64_t frame : {5, 11, 18}) landmarks[frame].zero_();
+  const auto smallest = [](const at::Tensor& motion, int64_t frame) {
+    return (motion[frame][62][1] - motion[frame][66][1]).item<double>();
+  };
+  const auto usual = resample_motion(landmarks, 24, 30, 30);
+  const auto shown = resample_motion(landmarks, 24, 30, 30, landmarks);
+  for (const auto& [frame, nearest] : {std::pair{5, 6}, std::pair{11, 14}, std::pair{18, 23}}) {
+    EXPECT_GT(smallest(usual, nearest), 1e-4) << frame;
+    EXPECT_TRUE(at::equal(shown[nearest], landmarks[frame])) << frame;
+  }
+  // Elsewhere nothing changed, and motion that has no such moment is as ever.
+  const std::vector<int64_t> moved{6, 14, 23};
+  for (int64_t frame = 0; frame < 30; ++frame) {
+    if (std::find(moved.begin(), moved.end(), frame) != moved.end()) continue;
+    EXPECT_TRUE(at::equal(shown[frame], usual[frame])) << frame;
+  }
+  const auto still = at::zeros_like(landmarks), any = low_rank_motion(24, 4, 3);
+  EXPECT_TRUE(at::equal(resample_motion(any, 24, 30, 30, still), resample_motion(any, 24, 30, 30)));
+  EXPECT_THROW(resample_motion(any, 24, 30, 30, still.slice(0, 1)), std::invalid_argument);
 }
 
 TEST(Resample, FramesOfAClip) {

@@ -90,9 +90,31 @@ TEST_F(HeadDecoderTest, SpokenWeightsAreTakenByName) {
   options.expressions = {"mouthSmile_R", "cheekPuff_L", "jawOpen"};
   const auto spoken = at::tensor({0.2F, 0.9F, 0.7F}).view({1, 3});
   const auto wanted = model_->expression_code(at::tensor({0.7F, 0.0F, 0.2F}).view({1, 3}));
-  EXPECT_TRUE(at::equal(decoder_->codes_of(spoken, options), wanted));
+  const at::Tensor still = at::zeros({1, 68, 3});
+  EXPECT_TRUE(at::equal(decoder_->codes_of(spoken, options, still, still), wanted));
   options.codes = "head";
-  EXPECT_TRUE(at::equal(decoder_->codes_of(spoken, options), spoken));
+  const auto codes = model_->expression_code(at::tensor({0.1F, 0.2F, 0.3F}).view({1, 3}));
+  EXPECT_TRUE(at::allclose(decoder_->codes_of(codes, options, still, still), codes, 0, 1e-6));
+}
+
+TEST_F(HeadDecoderTest, WhatLandmarksGainedIsAddedToSpokenWeightsWithinTheirRange) {
+  const torch::NoGradGuard no_grad;
+  facetalk::FaceTalkOptions options;
+  options.codes = "weights";
+  options.expressions = {"jawOpen"};
+  const at::Tensor shape = poses().shapes.narrow(0, 0, 1);
+  const auto code = [&](double weight) {
+    return model_->expression_code(
+        at::tensor({static_cast<float>(weight), 0.0F, 0.0F}).view({1, 3}));
+  };
+  const auto found = [&](double spoken, double before, double after) {
+    return decoder_->codes_of(at::full({1, 1}, spoken), options, before * shape, after * shape);
+  };
+  const double unit = (code(1) - code(0)).norm().item<double>();
+  // The solver's small costs leave a twentieth, as above.
+  EXPECT_LT((found(0.3, 0.3, 0.6) - code(0.6)).norm().item<double>(), 0.05 * unit);
+  EXPECT_LT((found(0.9, 0.2, 0.9) - code(1)).norm().item<double>(), 0.05 * unit);
+  EXPECT_TRUE(at::equal(found(1.5, 0, 0), code(1)));
 }
 
 TEST_F(HeadDecoderTest, AFrameDependsOnNoOther) {

@@ -305,6 +305,16 @@ TEST_F(TalkerTest, FaceTalkSpeaksWhereTheWeightsHoldIt) {
   chosen.motion = "facetalk";
   const auto loaded = Talker::from_pretrained(dir_, c10::kCPU).animate(hum(0.5), mesh, chosen);
   EXPECT_TRUE(torch::allclose(loaded.displacements, found.displacements, 1e-4, 1e-6));
+  // The weights' own gain and the option multiply, and that of ATS's motion has no part in it.
+  models.code_motion.articulation = 1.2;
+  models.generate.articulation = 2;
+  chosen.articulation = 1.25;
+  const auto wide = Talker(models).animate(hum(0.5), mesh, chosen);
+  models.code_motion.articulation = 1.5;
+  chosen.articulation = 1;
+  const auto wider = Talker(models).animate(hum(0.5), mesh, chosen);
+  EXPECT_TRUE(torch::allclose(wide.displacements, wider.displacements, 1e-4, 1e-6));
+  EXPECT_FALSE(torch::allclose(wide.displacements, found.displacements, 1e-2, 1e-6));
   small.audio_dim = 12;
   facetalk::FaceTalk deaf(small);
   core::save_model(dir_ / "facetalk", "freetalk-facetalk", core::options_to_json(small), *deaf);
