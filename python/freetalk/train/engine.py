@@ -95,6 +95,12 @@ class Engine:
             return values
         return self.accelerator.reduce(values, reduction="mean")
 
+    def joined(self, numbered: list[tuple[int, Any]]) -> list[Any]:
+        """The numbered records of all processes in their order, in each."""
+        from accelerate.utils import gather_object
+
+        return [record for _, record in sorted(gather_object(numbered), key=lambda one: one[0])]
+
 
 class StepLoss(nn.Module):
     """A step's forward pass: what is wrapped to average gradients over processes."""

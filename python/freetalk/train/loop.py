@@ -163,9 +163,8 @@ class Trainer:
             group["lr"] = self._learning_rate()
         self.optimizer.zero_grad(set_to_none=True)
         passes = [self._pass(draws, batches, number) for number in range(len(batches))]
-        norm = self.engine.accelerator.clip_grad_norm_(
-            list(self.task.model.parameters()), self.options.grad_clip or math.inf
-        )
+        weights, limit = list(self.task.model.parameters()), self.options.grad_clip or math.inf
+        norm = self.engine.accelerator.clip_grad_norm_(weights, limit)
         names = list(passes[0])
         if self._unread and names != self._names:  # a stage with other terms has begun
             self._read(draws)
@@ -289,15 +288,11 @@ class Trainer:
 
     def _validate(self, progress: Progress) -> None:
         """Scores the weights, each process its part, and exports them where they are the best."""
-        from accelerate.utils import gather_object
-
         began = time.perf_counter()
         with self._evaluating():
             part = self.task.validate(self.engine.rank, self.engine.num_processes)
-            parts = sorted(gather_object(part), key=lambda numbered: numbered[0])
-            records = [record for _, record in parts]
             # Lips that never move have no correlation; JSON has no NaN, and C++ reads the scores.
-            found = self.task.scores(records).items()
+            found = self.task.scores(self.engine.joined(part)).items()
             self.scores = {name: value for name, value in found if math.isfinite(value)}
             score = self._selected()
             if self.options.keep == "last" or score <= self.best:
@@ -401,6 +396,5 @@ class Trainer:
         )
 
     def _result(self, status: str) -> TrainingResult:
-        parameters = sum(p.numel() for p in self.task.model.parameters())
-        directory = self.out / self.config.kind
-        return TrainingResult(status, self.step, self.scores, directory, parameters)
+        size = sum(p.numel() for p in self.task.model.parameters())
+        return TrainingResult(status, self.step, self.scores, self.out / self.config.kind, size)
