@@ -88,7 +88,7 @@ freetalk_add_room(speech USES audio nn kernels core TORCH ALL HEADERS_OF ${json}
 freetalk_add_room(diffusion USES core TORCH ALL)
 freetalk_add_room(ats USES speech diffusion nn core TORCH ALL HEADERS_OF ${json})
 freetalk_add_room(facetalk USES speech diffusion nn core TORCH ALL HEADERS_OF ${json})
-freetalk_add_room(stm USES nn geometry core TORCH ALL HEADERS_OF ${json})
+freetalk_add_room(stm USES nn geometry mesh core TORCH ALL HEADERS_OF ${json})
 freetalk_add_room(head USES nn geometry core TORCH ALL)
 freetalk_add_room(rig USES geometry core TORCH ALL)
 freetalk_add_room(metrics USES core TORCH ALL)

@@ -21,7 +21,7 @@ ROOMS: dict[str, set[str]] = {
     "speech": {"core", "audio", "kernels", "nn"},
     "diffusion": {"core"},
     "ats": {"core", "speech", "diffusion", "nn"},
-    "stm": {"core", "nn", "geometry"},
+    "stm": {"core", "mesh", "nn", "geometry"},
     "head": {"core", "nn", "geometry"},
     "rig": {"core", "geometry"},
     "facetalk": {"core", "speech", "diffusion", "nn", "geometry"},
