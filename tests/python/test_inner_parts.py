@@ -16,7 +16,7 @@ from freetalk.cli import main
 from freetalk.corpus.assets import load_face_model, mean_face
 from freetalk.geometry import Similarity
 from freetalk.mesh import load_appearance, load_mesh
-from freetalk.prepare import add_inner_parts, open_lips, prepare_mesh, save_prepared
+from freetalk.prepare import add_inner_parts, open_lips, open_mouth, prepare_mesh, save_prepared
 
 
 def marks_of(vertices: np.ndarray) -> np.ndarray:
@@ -52,6 +52,26 @@ def test_lips_that_were_cut_get_teeth_and_closed_ones_none() -> None:
     made = add_inner_parts(cut, Similarity(), marks)
     assert made.steps[-1] == "teeth, gums and tongue added"
     assert len(made.mesh.vertices) > len(cut.mesh.vertices) + 9000
+
+
+@pytest.mark.slow
+def test_a_mouth_that_is_closed_behind_the_lips_is_opened() -> None:
+    vertices, faces, marks = sewn_head()
+    closed = prepare_mesh(freetalk.Mesh(vertices, faces.tolist()))
+    assert open_mouth(closed, Similarity(), marks) is closed  # lips that are one skin
+    bag = open_lips(closed, Similarity(), marks)
+    assert "the mouth is no opening" in add_inner_parts(bag, Similarity(), marks).steps[-1]
+    opened = open_mouth(bag, Similarity(), marks)
+    assert "the mouth opened behind the lips" in opened.steps[-1]
+    left, before = np.asarray(opened.mesh.vertices), np.asarray(bag.mesh.vertices)
+    now = opened.vertex_map[: len(vertices)]
+    assert (now >= 0).mean() > 0.99
+    np.testing.assert_array_equal(left[now[now >= 0]], vertices[now >= 0])
+    assert len(left) < len(before) - 150  # most of the bag
+    assert add_inner_parts(opened, Similarity(), marks).steps[-1] == "teeth, gums and tongue added"
+    face, faces = mean_face("face")
+    ready = prepare_mesh(freetalk.Mesh(face.astype(np.float64), faces.tolist()))
+    assert open_mouth(ready, Similarity(), marks_of(face)) is ready
 
 
 @pytest.mark.slow

@@ -81,7 +81,7 @@ def _on_the_face(arguments: argparse.Namespace, prepared: Any) -> Any:
     """The mesh with its vertices where the face is, lips apart and what is behind them; says why not where no face is
     found on it."""
     from freetalk.faces import find_landmarks
-    from freetalk.prepare import add_inner_parts, open_lips, to_budget
+    from freetalk.prepare import add_inner_parts, open_lips, open_mouth, to_budget
     from freetalk.talker.where import place
 
     mesh = prepared.mesh
@@ -102,7 +102,9 @@ def _on_the_face(arguments: argparse.Namespace, prepared: Any) -> Any:
     if not arguments.keep_lips:
         depth = {"depth": 0.0} if arguments.parts or arguments.no_inner_mouth else {}
         prepared = open_lips(prepared, pose, marks, **depth)
-    return add_inner_parts(prepared, pose, marks) if arguments.parts else prepared
+    if not arguments.parts:
+        return prepared
+    return add_inner_parts(open_mouth(prepared, pose, marks), pose, marks)
 
 
 def align(arguments: argparse.Namespace, vertices: Any, faces: Any) -> Any:

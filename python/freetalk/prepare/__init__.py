@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from freetalk.prepare.inner_parts import add_inner_parts
+from freetalk.prepare.mouth import open_mouth
 from freetalk.prepare.repair import (
     FLOATING,
     Prepared,
@@ -17,6 +18,7 @@ __all__ = [
     "Prepared",
     "add_inner_parts",
     "open_lips",
+    "open_mouth",
     "prepare_mesh",
     "save_prepared",
     "to_budget",

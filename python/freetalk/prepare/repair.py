@@ -87,7 +87,7 @@ def prepare_mesh(
     polygons = polygons_of(mesh)
     corners: list[Polygon] = [list(p) for p in mesh.polygon_texcoords] or [[] for _ in polygons]
     origin = list(range(len(polygons)))
-    place = _places(vertices)
+    place = places_of(vertices)
     steps: list[str] = []
     if duplicates:
         kept = _single(polygons)
@@ -267,7 +267,7 @@ def _said(count: int, what: str) -> list[str]:
     return [f"{count} {what}"] if count else []
 
 
-def _places(vertices: NDArray[np.float64]) -> NDArray[np.int64]:
+def places_of(vertices: NDArray[np.float64]) -> NDArray[np.int64]:
     """(V,) a number for each position, so that vertices doubled along seams are one."""
     return np.unique(vertices, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
 
