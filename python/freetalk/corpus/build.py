@@ -84,6 +84,9 @@ def _made_in_order(jobs: list[Job], writer: PackWriter) -> Iterator[tuple[Made, 
                 names = f"{chunk[0].id} to {chunk[-1].id}"
                 raise RuntimeError(f"a worker stopped while making {names}: build again") from error
             yield from (one for one in made if not writer.knows(one[0].job.id))
+        # Leaving a pool terminates it, and one that replaces a worker meanwhile waits for it for ever.
+        pool.close()
+        pool.join()
 
 
 def _write(writer: PackWriter, size: str, seed: int, progress: bool) -> None:
