@@ -23,16 +23,18 @@ void bind_denoiser(py::module_& m) {
              const at::Tensor& audio, const at::Tensor& emotion, const at::Tensor& intensity,
              const std::optional<at::Tensor>& valid, const std::optional<at::Tensor>& drop_audio,
              const std::optional<at::Tensor>& drop_affect,
-             const std::optional<at::Tensor>& first_position) {
+             const std::optional<at::Tensor>& first_position,
+             const std::optional<at::Tensor>& known) {
             const py::gil_scoped_release release;
             return self.forward(x, timestep,
                                 {audio, emotion, intensity, value_or_undefined(valid),
                                  value_or_undefined(drop_audio), value_or_undefined(drop_affect),
-                                 value_or_undefined(first_position)});
+                                 value_or_undefined(first_position), value_or_undefined(known)});
           },
           py::arg("x"), py::arg("timestep"), py::kw_only(), py::arg("audio"), py::arg("emotion"),
           py::arg("intensity"), py::arg("valid") = py::none(), py::arg("drop_audio") = py::none(),
-          py::arg("drop_affect") = py::none(), py::arg("first_position") = py::none())
+          py::arg("drop_affect") = py::none(), py::arg("first_position") = py::none(),
+          py::arg("known") = py::none())
       .def("normalize", &fa::AtsImpl::normalize, py::arg("motion"))
       .def("denormalize", &fa::AtsImpl::denormalize, py::arg("motion"))
       .def("set_motion_statistics", &fa::AtsImpl::set_motion_statistics, py::arg("mean"),

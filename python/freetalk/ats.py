@@ -50,6 +50,7 @@ class Ats(NativeModule):
         drop_audio: torch.Tensor | None = None,
         drop_affect: torch.Tensor | None = None,
         first_position: torch.Tensor | None = None,
+        known: torch.Tensor | None = None,
     ) -> torch.Tensor:
         """The estimate of the clean motion.
 
@@ -65,6 +66,7 @@ class Ats(NativeModule):
             drop_affect: (B,) bool, likewise for emotion and intensity.
             first_position: (B,) int64 learned position of each first frame, in
                 [0, max_frames - T]; None is 0.
+            known: (B,) int64 first frames of ``x`` that are clean, whatever the timestep of the others; None is 0.
 
         Returns:
             (B, T, 204) normalised displacements.
@@ -82,6 +84,7 @@ class Ats(NativeModule):
             drop_audio=drop_audio,
             drop_affect=drop_affect,
             first_position=first_position,
+            known=known,
         )
 
     def normalize(self, motion: torch.Tensor) -> torch.Tensor:

@@ -115,12 +115,21 @@ void AtsImpl::check_inputs(const at::Tensor& x, const at::Tensor& timestep,
   if (condition.first_position.defined()) {
     expect("first_position", condition.first_position, {batch});
   }
+  if (condition.known.defined()) expect("known", condition.known, {batch});
 }
 
 at::Tensor AtsImpl::time_code(const at::Tensor& timestep) {
   const at::Tensor code =
       nn::sinusoidal_code(timestep, options_.d_model).to(time_in_->weight.scalar_type());
-  return time_out_(at::silu(time_in_(code)));  // (B, d)
+  return time_out_(at::silu(time_in_(code)));
+}
+
+at::Tensor AtsImpl::time_code_of_frames(const at::Tensor& timestep, const Condition& condition) {
+  const at::Tensor code = time_code(timestep).unsqueeze(1);
+  if (!condition.known.defined()) return code;
+  const at::Tensor frame = at::arange(condition.audio.size(1), condition.known.options());
+  const at::Tensor is_known = frame < condition.known.unsqueeze(1);  // (B, T)
+  return at::where(is_known.unsqueeze(2), time_code(at::zeros_like(timestep)).unsqueeze(1), code);
 }
 
 at::Tensor AtsImpl::affect_code(const Condition& condition) {
@@ -174,7 +183,7 @@ at::Tensor AtsImpl::forward(const at::Tensor& x, const at::Tensor& timestep,
     }
     const at::Tensor memory = audio_memory(condition);
     at::Tensor z = input_proj_(x) + positions_of(target_positions_, condition) +
-                   time_code(timestep).unsqueeze(1) + affect_code(condition);
+                   time_code_of_frames(timestep, condition) + affect_code(condition);
     for (nn::TransformerDecoderLayer& layer : layers_)
       z = layer(z, memory, self_allowed, cross_allowed);
     return output_proj_(options_.norm_first ? norm_(z) : z);

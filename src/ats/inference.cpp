@@ -23,7 +23,7 @@ AtsInference::AtsInference(AtsImpl& model, const std::vector<int64_t>& timesteps
 }
 
 AtsInference::Prepared AtsInference::prepare(const at::Tensor& audio, const Affect& affect,
-                                             bool null_audio) {
+                                             bool null_audio, int64_t known) {
   Condition condition;
   condition.audio = audio;
   condition.emotion = affect.emotion;
@@ -31,8 +31,13 @@ AtsInference::Prepared AtsInference::prepare(const at::Tensor& audio, const Affe
   const at::Tensor codes = model_.affect_code(condition);  // (K, 1, d)
   const int64_t num_frames = audio.size(1);
   const at::Tensor positions = model_.target_positions_.narrow(0, 0, num_frames);
-  Prepared prepared{{num_frames, model_.options_.band_radius, dtype_, audio.device()}, {}, {}};
+  Prepared prepared{
+      {num_frames, model_.options_.band_radius, dtype_, audio.device()}, {}, known, {}};
   prepared.base = positions + at::cat({codes, model_.null_affect_.view({1, 1, -1})});
+  if (known > 0) {
+    const auto whole = audio.options().dtype(at::kLong);
+    prepared.base.narrow(1, 0, known).add_(model_.time_code(at::zeros({1}, whole)));
+  }
   at::Tensor memory = model_.audio_memory(condition);  // (W, T, d)
   if (null_audio) {
     condition.drop_audio = at::ones({audio.size(0)}, audio.options().dtype(at::kBool));
@@ -53,11 +58,10 @@ at::Tensor AtsInference::denoise(const at::Tensor& x, int64_t timestep, const Pr
     base.push_back(prepared.base[variant.affect]);
     memory_of.push_back(variant.null_audio ? 1 : 0);
   }
-  const at::Tensor start = (at::stack(base) + time_codes_.at(timestep))
-                               .to(dtype_)
-                               .unsqueeze(1)
-                               .expand({-1, x.size(1), -1, -1})
-                               .flatten(0, 1);
+  at::Tensor code = at::stack(base);  // (G, T, d)
+  code.slice(1, prepared.known).add_(time_codes_.at(timestep));
+  const at::Tensor start =
+      code.to(dtype_).unsqueeze(1).expand({-1, x.size(1), -1, -1}).flatten(0, 1);
   at::Tensor z = input_.add(x.to(dtype_).flatten(0, 1), start);  // (G W, T, d)
   for (size_t i = 0; i < layers_.size(); ++i) {
     z = layers_[i].forward(z, prepared.memory[i], memory_of, prepared.band);

@@ -30,14 +30,17 @@ class AtsInference {
   /// What does not depend on the step, for W windows of T frames.
   struct Prepared {
     nn::BandAttention band;
-    at::Tensor base;  // (K + 1, T, d): positions and the code of each affect, then the null one
+    at::Tensor base;    // (K + 1, T, d): positions and the code of each affect, then the null one
+    int64_t known = 0;  // first frames, whose base also holds the code of timestep 0
     std::vector<at::Tensor>
         memory;  // of each layer (2 W, T + 2 margin, 2d): audio; then null audio
   };
 
   /// @param audio (W, T, C). @param affect its K emotions and intensities.
   /// @param null_audio whether variants with null audio will be asked for.
-  Prepared prepare(const at::Tensor& audio, const Affect& affect, bool null_audio);
+  /// @param known first frames of every window that are given clean, see Condition::known.
+  Prepared prepare(const at::Tensor& audio, const Affect& affect, bool null_audio,
+                   int64_t known = 0);
 
   /// @param x (G, W, T, 204) noisy normalised displacements of G groups of W windows.
   /// @param variants of each group. @returns (G, W, T, 204) float32, the estimates of x_0.

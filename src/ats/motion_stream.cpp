@@ -129,8 +129,11 @@ struct MotionStream::State {
     known = known.slice(0, leave).clone();
     const int64_t frames = heard - first, done = shown - first;
     const WindowPlan plan{frames, {{0}}};
-    WindowGroup group(network, plan, {0}, features, affect(), options.generate, {}, 0);
-    const auto denoise = [&](const at::Tensor& x, int64_t timestep) {
+    const bool clean = model->options().known_prefix;
+    WindowGroup group(network, plan, {0}, features, affect(), options.generate, {}, 0,
+                      clean ? done : 0);
+    const auto denoise = [&](at::Tensor x, int64_t timestep) {
+      if (clean) x = at::cat({known.unsqueeze(0), x.slice(1, done)}, 1);
       at::Tensor x0 = group.denoise(x, timestep);
       x0.narrow(1, 0, done).copy_(known);
       return x0;

@@ -54,13 +54,14 @@ WindowPlan plan_windows(int64_t num_frames, int64_t max_frames, const GenerateOp
 
 WindowGroup::WindowGroup(AtsInference& network, const WindowPlan& plan, std::vector<int64_t> starts,
                          const at::Tensor& audio, const Affect& affect,
-                         const GenerateOptions& options, Shared before, int64_t shared_after)
+                         const GenerateOptions& options, Shared before, int64_t shared_after,
+                         int64_t known)
     : network_(network),
       options_(options),
       starts_(std::move(starts)),
       window_(plan.window),
       prepared_(network.prepare(stack_windows(audio, starts_, window_, 0), affect,
-                                /*null_audio=*/options.audio_guidance != 1)),
+                                /*null_audio=*/options.audio_guidance != 1, known)),
       before_(std::move(before)) {
   const bool single = plan.groups.size() == 1 && starts_.size() == 1;
   fade_ = (single ? at::ones({window_}) : fade_weights(window_, options.window_overlap))

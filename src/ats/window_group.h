@@ -40,10 +40,11 @@ class WindowGroup {
  public:
   /// @param starts of the windows, relative to the group's first frame. @param audio (frames, C).
   /// @param affect its weights (frames, K). @param before what the group before left.
-  /// @param shared_after frames to leave to the next group.
+  /// @param shared_after frames to leave to the next group. @param known first frames of every
+  /// window that are given clean, see Condition::known.
   WindowGroup(AtsInference& network, const WindowPlan& plan, std::vector<int64_t> starts,
               const at::Tensor& audio, const Affect& affect, const GenerateOptions& options,
-              Shared before, int64_t shared_after);
+              Shared before, int64_t shared_after, int64_t known = 0);
 
   /// The cross-faded, guided estimate of x_0; call it once a step. @param x (K, frames, 204).
   at::Tensor denoise(const at::Tensor& x, int64_t timestep);

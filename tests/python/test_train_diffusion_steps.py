@@ -73,6 +73,30 @@ def test_a_rehearsed_mouth_is_the_models_own_estimate(
     assert (shown[~batch["valid"]] == 0).all()
 
 
+def test_a_known_prefix_is_given_clean_and_not_judged(corpus: Dataset, tmp_path: Path) -> None:
+    task = make(corpus, tmp_path, "task.known_prefix=1", "model.dropout=0", "task.rehearsal=0.5")
+    assert task.model.options.known_prefix
+    items = [task.item(np.random.default_rng(seed), seed) for seed in range(8)]
+    fresh = [len(item["motion"]) - item["known"] for item in items]
+    assert min(fresh) > 0 and max(fresh) <= 24 and len({item["known"] for item in items}) > 3
+    batch = task.collate([item for item in items if item["known"] > 2][:3])
+    shown = []
+    task.model.register_forward_pre_hook(
+        lambda _, args, named: shown.append((args[0], named["known"])), with_kwargs=True
+    )
+    terms = task.loss(batch, torch.Generator())
+    clean = (batch["motion"] - task.mean) / task.spread
+    true = [row for row in range(3) if row not in batch["rehearsed"].tolist()]
+    x, known = shown[-1]
+    for row in true:
+        torch.testing.assert_close(x[row, : known[row]], clean[row, : known[row]])
+        assert not torch.isclose(x[row, known[row] :], clean[row, known[row] :]).all(dim=1).any()
+    assert torch.equal(known, batch["known"])
+    batch["known"] = batch["valid"].sum(dim=1)  # nothing is left to be found
+    assert terms["position"].item() > 0
+    assert task.loss(batch, torch.Generator())["position"].item() == 0
+
+
 @pytest.mark.parametrize("weighted, others", [(EYES, LIPS), (LIPS, EYES)])
 def test_eyes_and_lips_weigh_as_asked(
     corpus: Dataset, tmp_path: Path, weighted: tuple[int, ...], others: tuple[int, ...]

@@ -41,6 +41,9 @@ struct AtsOptions {
   /// Longest motion that training showed, within max_frames: windows of generation are no longer.
   /// 0: max_frames. Written by training.
   int64_t trained_frames = 0;
+  /// Training also showed windows whose first frames are known, see Condition::known: streams then
+  /// go on from what was shown. Written by training.
+  bool known_prefix = false;
   int64_t band_radius = 3;  // r of Eq. 9, frames; unstated in the paper; -1: no band
   /// First weights of positions and attention, unstated in the paper: "local" (each head at frames
   /// near its own, see nn/local_start.h) or "random".
@@ -66,6 +69,7 @@ struct AtsOptions {
     v("audio_dim", audio_dim);
     v("max_frames", max_frames);
     v("trained_frames", trained_frames);
+    v("known_prefix", known_prefix);
     v("band_radius", band_radius);
     v("attention_start", attention_start);
     v("num_intensities", num_intensities);
@@ -97,6 +101,9 @@ struct Condition {
   /// (B,) int64, learned position of the first frame, so that training reaches positions that its
   /// sequences are too short for: in [0, max_frames - T]; undefined: 0.
   at::Tensor first_position;
+  /// (B,) int64, first frames of x that are clean, of timestep 0, whatever the timestep of the
+  /// others [as Diffusion Forcing, Chen et al. 2024]; undefined: 0.
+  at::Tensor known;
 };
 
 class AtsImpl : public torch::nn::Module {
@@ -121,7 +128,9 @@ class AtsImpl : public torch::nn::Module {
   void start_locally();
   void check_inputs(const at::Tensor& x, const at::Tensor& timestep,
                     const Condition& condition) const;
-  at::Tensor time_code(const at::Tensor& timestep);
+  at::Tensor time_code(const at::Tensor& timestep);  // (B, d)
+  /// (B, 1, d), or (B, T, d) where some frames are known.
+  at::Tensor time_code_of_frames(const at::Tensor& timestep, const Condition& condition);
   at::Tensor affect_code(const Condition& condition);  // (B, 1, d) or (B, T, d)
   at::Tensor audio_memory(const Condition& condition);
   /// (T, d), or (B, T, d) where the windows begin at different positions.

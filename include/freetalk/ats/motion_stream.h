@@ -1,10 +1,11 @@
-// Motion while the speech is still being heard, from a model that was not trained for it.
+// Motion while the speech is still being heard.
 //
 // Whenever features of further frames come, a window of the last frames is denoised as a whole. Its
-// frames that were shown before are known: at every reverse step they take the place of the
-// estimate of x_0 [as in-painting, Lugmayr et al. 2022, without its repeats]. Each frame keeps its
-// noise from window to window. The last few frames of a window, whose audio band is cut off, are
-// not shown but made again with the next one.
+// frames that were shown before are known: a model that was trained so (AtsOptions::known_prefix)
+// sees them clean; to another they take the place of the estimate of x_0 at every reverse step [as
+// in-painting, Lugmayr et al. 2022, without its repeats]. Each frame keeps its noise from window to
+// window. The last few frames of a window, whose audio band is cut off, are not shown but made
+// again with the next one.
 #pragma once
 
 #include <ATen/core/Tensor.h>

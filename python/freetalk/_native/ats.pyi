@@ -31,6 +31,7 @@ class AtsOptions:
     emotions: typing.Any
     ff_dim: typing.Any
     fps: typing.Any
+    known_prefix: typing.Any
     max_frames: typing.Any
     norm_first: typing.Any
     num_heads: typing.Any
@@ -69,6 +70,7 @@ class AtsImpl:
         drop_audio: torch.Tensor | None = None,
         drop_affect: torch.Tensor | None = None,
         first_position: torch.Tensor | None = None,
+        known: torch.Tensor | None = None,
     ) -> torch.Tensor: ...
     def named_buffers(self) -> list[tuple[str, torch.Tensor]]: ...
     def named_parameters(self) -> list[tuple[str, torch.Tensor]]: ...

@@ -25,6 +25,9 @@ from freetalk.train.denoising import (
 from freetalk.train.losses import MILLIMETRES, landmark_weights, motion_loss
 from freetalk.train.task_options import AtsTaskOptions
 
+# Frames of a window that goes on from known ones: those to be found, and those known.
+_FEWEST_FRESH, _MOST_FRESH, _MOST_KNOWN = 3, 24, 60
+
 
 class AtsTask(DenoisingTask):
     """Windows of motion with their speech features; the denoiser restores them from noise."""
@@ -54,6 +57,7 @@ class AtsTask(DenoisingTask):
             self.options, self.corpus, self.features, self.sampler.sequences, self._shares, frames
         )
         self.model_options.trained_frames = windows.longest()
+        self.model_options.known_prefix = self.options.known_prefix > 0
         self._begin(config.loop, Ats, frames)
         self.model.set_motion_statistics(*self._statistics())
         self.point_weights = landmark_weights(
@@ -72,6 +76,17 @@ class AtsTask(DenoisingTask):
     def spread(self) -> Tensor:
         """(204,) standard deviation of the motion, m, likewise."""
         return self.model.get_buffer("motion_scale")
+
+    def item(self, rng: np.random.Generator, number: int) -> dict[str, Any]:
+        """As of any denoiser; some are cut off a few frames after the ``known`` ones."""
+        window = super().item(rng, number)
+        frames = len(window["motion"])
+        if rng.random() >= self.options.known_prefix:
+            return {**window, "known": 0}
+        fresh = int(rng.integers(min(frames, _FEWEST_FRESH), min(frames, _MOST_FRESH) + 1))
+        known = int(rng.integers(min(frames - fresh, _MOST_KNOWN) + 1))
+        cut = {name: window[name][: known + fresh] for name in ("audio", "motion", "noise")}
+        return {**window, **cut, "known": known}
 
     def collate(self, items: list[dict[str, Any]]) -> dict[str, Any]:
         """As of any denoiser; ``rehearsed`` are the rows that are."""
@@ -120,7 +135,8 @@ class AtsTask(DenoisingTask):
     def _terms(self, batch: dict[str, Any], step: Tensor, noise: Tensor) -> dict[str, Tensor]:
         o = self.options
         target = self._normalised(batch)
-        guess = self._denoise(batch, step, noise)
+        found = self._denoise(batch, step, noise)
+        guess = torch.where(self._known(batch), target, found)
         openings = self._opening(guess * self.spread + self.mean), self._opening(batch["motion"])
         if o.loss_units == "millimetres":
             unit = MILLIMETRES * self.spread
@@ -142,13 +158,21 @@ class AtsTask(DenoisingTask):
         clean = self._normalised(batch)
         rows: Tensor | None = batch.get("rehearsed")
         if rows is not None and len(rows):
-            whole = ("counts", "rehearsed")
+            whole = ("counts", "rehearsed", "known")
             some = {name: value[rows] for name, value in batch.items() if name not in whole}
             with torch.no_grad():
                 last = torch.full_like(step[rows], self.model_options.num_train_steps - 1)
                 own = self._estimate(some, last, noise[rows]) * some["valid"][..., None]
             clean[rows] = torch.where(self.mouth, own, clean[rows])
-        return self._estimate(batch, step, self.schedule.q_sample(clean, step, noise=noise))
+        noisy = self.schedule.q_sample(clean, step, noise=noise)
+        return self._estimate(batch, step, torch.where(self._known(batch), clean, noisy))
+
+    def _known(self, batch: dict[str, Any]) -> Tensor:
+        """(B, T, 1) whether a frame is given."""
+        motion: Tensor = batch["motion"]
+        frame = torch.arange(motion.shape[1], device=motion.device)[:, None]
+        known: Tensor = batch.get("known", torch.zeros(1, dtype=torch.long, device=motion.device))
+        return frame < known[:, None, None]
 
     def _estimate(self, batch: dict[str, Any], step: Tensor, noisy: Tensor) -> Tensor:
         guess: Tensor = self.model(
@@ -161,6 +185,7 @@ class AtsTask(DenoisingTask):
             drop_audio=batch.get("drop_audio"),
             drop_affect=batch.get("drop_affect"),
             first_position=batch.get("first_position"),
+            known=batch.get("known"),
         )
         return guess.float()
 

@@ -110,6 +110,8 @@ class AtsTaskOptions(DenoisingTaskOptions):
             stay true, so that they go on varying; 0 is the paper.
         affect_dropout: share of the windows without emotion and intensity, for guidance; 0 is the
             paper.
+        known_prefix: share of the windows that are as live speech shows them: cut off a few frames after those that
+            are known, which are given clean and not judged [as Diffusion Forcing, Chen et al. 2024]; 0 is the paper.
         mosaic: share of the windows joined from pieces of several takes of one emotion, so that
             each is judged by its own sound; 0 is the paper.
         position_offsets: windows shorter than ``model.max_frames`` begin at random learned positions,
@@ -125,6 +127,7 @@ class AtsTaskOptions(DenoisingTaskOptions):
 
     rehearsal: float = 0.0
     affect_dropout: float = 0.0
+    known_prefix: float = 0.0
     mosaic: float = 0.0
     position_offsets: bool = True
     lambda_velocity: float = 0.3
@@ -135,7 +138,7 @@ class AtsTaskOptions(DenoisingTaskOptions):
 
     def check(self) -> None:
         super().check()
-        require_shares(self, "rehearsal", "mosaic", "affect_dropout")
+        require_shares(self, "rehearsal", "mosaic", "affect_dropout", "known_prefix")
         require_known(self, "loss_units", "millimetres", "normalised")
         require_positive(self, "lip_weight", "eye_weight")
 

@@ -30,6 +30,7 @@ Condition condition_for(int64_t batch, int64_t frames) {
           {},
           {},
           {},
+          {},
           {}};
 }
 
@@ -65,6 +66,24 @@ TEST(Ats, FirstPositionShiftsBothTables) {
   const at::Tensor rolled = model(x, step, condition);
   EXPECT_TRUE(torch::allclose(shifted[0], rolled[0], 1e-5, 1e-6));  // float32 rounding
   EXPECT_FALSE(torch::allclose(shifted[0], at_zero[0], 1e-3, 1e-3));
+}
+
+TEST(Ats, KnownFramesAreThoseOfTimestepZero) {
+  torch::manual_seed(0);
+  Ats model(small_options());
+  model->eval();
+  const torch::NoGradGuard no_grad;
+  Condition condition = condition_for(2, 6);
+  const at::Tensor x = random_motion(2, 6), step = torch::tensor({999, 999});
+  const at::Tensor none = model(x, step, condition);
+  const at::Tensor clean = model(x, torch::tensor({0, 0}), condition);
+  condition.known = torch::tensor({0, 6});
+  const at::Tensor some = model(x, step, condition);
+  EXPECT_TRUE(torch::allclose(some[0], none[0], 1e-5, 1e-6));  // float32 rounding
+  EXPECT_TRUE(torch::allclose(some[1], clean[1], 1e-5, 1e-6));
+  EXPECT_FALSE(torch::allclose(none, clean, 1e-3, 1e-3));
+  condition.known = torch::tensor({1, 2, 3});
+  EXPECT_THROW(model(x, step, condition), std::invalid_argument);
 }
 
 // What frame 20 of the estimate owes to each frame of the speech, before any training.

@@ -66,14 +66,15 @@ TEST(AtsInference, EqualsForward) {
       const Affect felt = changing_affect(frames);
       const at::Tensor x = torch::randn({3, 2, frames, kMotionDim}, draw);
       AtsInference network(*model, {999, 40}, at::kFloat, 2 * frames);
-      const auto prepared = network.prepare(audio, felt, /*null_audio=*/true);
+      const int64_t known = frames / 3;
+      const auto prepared = network.prepare(audio, felt, /*null_audio=*/true, known);
       const at::Tensor guesses =
           network.denoise(x, 40, prepared, {{false, 1}, {true, 0}, {false, 2}});
       for (int64_t variant = 0; variant < 3; ++variant) {
         const int64_t key = variant == 0 ? 1 : 0;
         Condition condition{
             audio, felt.emotion[key].expand({2, -1}), felt.intensity[key].expand({2}), {}, {}, {},
-            {}};
+            {},    torch::full({2}, known, at::kLong)};
         const at::Tensor dropped = torch::ones({2}, at::kBool);
         if (variant == 1) condition.drop_audio = dropped;
         if (variant == 2) condition.drop_affect = dropped;
@@ -157,6 +158,7 @@ TEST(Generate, IsGuidedDiffusionOverTheModel) {
                             {},
                             drop_audio ? dropped : at::Tensor(),
                             drop_affect ? dropped : at::Tensor(),
+                            {},
                             {}};
         sum = sum + model(x, step, condition) * felt.weight.select(1, key).view({1, -1, 1});
       }

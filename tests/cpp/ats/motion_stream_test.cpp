@@ -4,13 +4,14 @@
 #include <torch/torch.h>
 
 #include "freetalk/core/random.h"
+#include "freetalk/diffusion/sampler.h"
 
 namespace freetalk::ats {
 namespace {
 
 constexpr int64_t kChannels = 5;
 
-Ats stream_model() {
+Ats stream_model(bool known_prefix = false) {
   AtsOptions options;
   options.d_model = 16;
   options.num_layers = 2;
@@ -19,6 +20,7 @@ Ats stream_model() {
   options.audio_dim = kChannels;
   options.max_frames = 40;
   options.emotions = {"neutral", "happy"};
+  options.known_prefix = known_prefix;
   torch::manual_seed(0);
   Ats model(options);
   model->eval();
@@ -66,6 +68,43 @@ TEST(MotionStream, ShowsEveryFrameOnceAndKeepsTheLastBack) {
     EXPECT_TRUE(made.isfinite().all().item<bool>());
   }
   EXPECT_EQ(stream.finish(features.narrow(0, heard, 61 - heard)).size(0), 61 - shown);
+}
+
+TEST(MotionStream, AModelThatKnowsPrefixesSeesWhatWasShown) {
+  for (const bool known_prefix : {true, false}) {
+    Ats model = stream_model(known_prefix);
+    MotionStreamOptions options;
+    options.window_frames = 40;
+    options.redo_frames = 0;
+    MotionStream stream(model, happy(), 7, options);
+    const at::Tensor features = stream_features(20);
+    const at::Tensor first = stream.push(features.narrow(0, 0, 12));
+    const at::Tensor then = stream.push(features.narrow(0, 12, 8));
+    // The same by hand: the shown frames stay clean at every step.
+    const diffusion::Schedule schedule(model->options().schedule_options());
+    const auto sampling = options.generate.sampler_options();
+    const at::Tensor shown = model->normalize(first.flatten(1)).unsqueeze(0);
+    const at::Tensor noise = torch::randn({20, kMotionDim}, core::make_generator(7)).unsqueeze(0);
+    Condition condition{features.unsqueeze(0),
+                        happy()[0].emotion.unsqueeze(0),
+                        torch::tensor({2.0F}),
+                        {},
+                        {},
+                        {},
+                        {},
+                        {}};
+    condition.known = torch::tensor({12});
+    const torch::NoGradGuard no_grad;
+    const auto denoise = [&](const at::Tensor& x, int64_t timestep) {
+      const at::Tensor given = at::cat({shown, x.slice(1, 12)}, 1);
+      return at::cat({shown, model(given, torch::tensor({timestep}), condition).slice(1, 12)}, 1);
+    };
+    const auto none = [](const at::Tensor& like) { return at::zeros_like(like); };
+    const at::Tensor x0 = diffusion::sample(schedule, denoise, noise, sampling, none);
+    const at::Tensor expected = model->denormalize(x0[0].slice(0, 12)).unflatten(1, {68, 3});
+    EXPECT_EQ(torch::allclose(then, expected, 1e-3, 1e-4), known_prefix)
+        << (then - expected).abs().max().item<float>();
+  }
 }
 
 TEST(MotionStream, RejectsWhatItCannotDo) {
