@@ -108,7 +108,15 @@ void bind_live(py::module_& m) {
             if (!self.weights.defined()) return std::nullopt;
             return self.weights;
           },
-          "(W,) float32 in [0, 1] of the face's rig, None without.");
+          "(W,) float32 in [0, 1] of the face's rig, None without.")
+      .def_property_readonly(
+          "head",
+          [](const LiveFrame& self) -> std::optional<at::Tensor> {
+            if (!self.head.defined()) return std::nullopt;
+            return self.head;
+          },
+          "(4, 4) float64 rigid motion of the head, metres, canonical frame; None without "
+          "head_motion.");
   py::class_<Live>(m, "Live", "Speech in as it is spoken, frames out.")
       .def(py::init<talker::Face, const talker::LiveOptions&>(), py::arg("face"),
            py::arg("options") = talker::LiveOptions{}, NoGil())
@@ -128,6 +136,13 @@ void bind_live(py::module_& m) {
       .def("set_emotion", &Live::set_emotion, py::arg("emotion"), py::arg("intensity") = py::none(),
            NoGil())
       .def("decode", &Live::decode, py::arg("frame"), NoGil())
+      .def(
+          "head",
+          [](const Live& self, const LiveFrame& frame) -> std::optional<at::Tensor> {
+            if (!frame.head.defined()) return std::nullopt;
+            return self.head(frame);
+          },
+          py::arg("frame"))
       .def_property_readonly("latency_s", &Live::latency_s)
       .def_property_readonly("fps", &Live::fps)
       .def_property_readonly("options", &Live::options)

@@ -15,7 +15,9 @@ import json
 import resource
 import subprocess
 import sys
+import tempfile
 import time
+from pathlib import Path
 
 import numpy as np
 
@@ -77,7 +79,7 @@ def simplified(
     )
 
 
-def measure(num_vertices: int, seconds: float, threads: int, precision: str) -> dict[str, object]:
+def measure(mesh_file: str, seconds: float, threads: int, precision: str) -> dict[str, object]:
     """One case, in this process."""
     clock = time.perf_counter
     import torch
@@ -86,10 +88,9 @@ def measure(num_vertices: int, seconds: float, threads: int, precision: str) -> 
 
     torch.set_num_threads(threads)
     wave = speech(seconds)
-    vertices, faces = face(num_vertices)
     start = clock()
     talker = freetalk.Talker.from_pretrained(device="cpu")
-    mesh = freetalk.Mesh(vertices, faces.tolist(), name="face")
+    mesh = freetalk.load_mesh(mesh_file)
     audio = freetalk.Audio(wave, 16000)
     loaded = clock()
     prepared = talker.prepare(mesh, cache_dir=None, precision=precision, progress=False)
@@ -121,17 +122,30 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--repetitions", type=int, default=1)
     parser.add_argument("--precision", choices=("float32", "bfloat16"), default="float32")
-    parser.add_argument("--case", nargs=2, type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--case", nargs=2, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.case:
-        vertices, seconds = arguments.case
-        print(json.dumps(measure(vertices, seconds, arguments.threads, arguments.precision)))
+        mesh_file, spoken = arguments.case
+        found = measure(mesh_file, float(spoken), arguments.threads, arguments.precision)
+        print(json.dumps(found))
         return
     heads = ("load", *STAGES, "cold", "warm", "peak MB", "decoded")
     print(f"{'vertices':>8} {'speech':>7}" + "".join(f"{head:>11}" for head in heads))
+    with tempfile.TemporaryDirectory() as folder:
+        table(arguments, Path(folder))
+
+
+def table(arguments: argparse.Namespace, folder: Path) -> None:
+    """Prints a row a process."""
+    import freetalk
+
     for vertices, seconds in CASES:
+        mesh_file = folder / f"{vertices}.ply"
+        if not mesh_file.exists():
+            points, faces = face(vertices)
+            freetalk.save_mesh(mesh_file, freetalk.Mesh(points, faces.tolist(), name="face"))
         for _ in range(arguments.repetitions):
-            command = [sys.executable, __file__, "--case", str(vertices), str(seconds)]
+            command = [sys.executable, __file__, "--case", str(mesh_file), str(seconds)]
             command += ["--threads", str(arguments.threads), "--precision", arguments.precision]
             run = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
             values = [run["load"], *(run["stages"][s] for s in STAGES), run["cold"], run["warm"]]

@@ -15,12 +15,13 @@ namespace {
 using geometry::combine_fields;
 using Points = geometry::GreedyInterpolation::Points;
 
-constexpr int64_t kFirst = 16;           // frames decoded before the first check
-constexpr int64_t kBatch = 8;            // frames of a check, at least
-constexpr double kSpread = 0.375;        // share of them that is not of the most doubtful
-constexpr int kChecks = 2;               // at least: one may be lucky
-constexpr int64_t kRounded = 2;          // frames decoded exactly to see what bfloat16 does
-constexpr int64_t kChunk = 64;           // frames of a call to the sink
+constexpr int64_t kFirst = 16;     // frames decoded before the first check
+constexpr int64_t kBatch = 8;      // frames of a check, at least
+constexpr double kSpread = 0.375;  // share of them that is not of the most doubtful
+constexpr int kChecks = 2;         // at least: one may be lucky
+constexpr int64_t kRounded = 2;    // frames decoded exactly to see what bfloat16 does
+constexpr int64_t kChunk = 64;     // frames of a call to the sink, at most
+constexpr int64_t kChunkBytes = int64_t{16} << 20;
 constexpr int64_t kMotionSamples = 512;  // vertices of which the mean motion is taken
 constexpr double kLength = 2.0;          // of the kernel, in spreads of the clip
 // Frames that are not checked may err more for their doubt than those that are.
@@ -145,8 +146,10 @@ class Clip {
       weights.row(nodes[n]).setZero();
       weights(nodes[n], static_cast<Eigen::Index>(n)) = 1.0;
     }
-    for (int64_t first = 0; first < landmarks_.size(0); first += kChunk) {
-      const int64_t count = std::min(kChunk, landmarks_.size(0) - first);
+    const auto of_frame = static_cast<int64_t>(fields_[0].nbytes());
+    const int64_t chunk = std::clamp<int64_t>(kChunkBytes / of_frame, 1, kChunk);
+    for (int64_t first = 0; first < landmarks_.size(0); first += chunk) {
+      const int64_t count = std::min(chunk, landmarks_.size(0) - first);
       sink(first, combine_fields(weights.middleRows(first, count), fields_));
     }
   }

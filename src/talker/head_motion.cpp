@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <deque>
 #include <numbers>
 #include <random>
 
@@ -41,22 +42,6 @@ constexpr double kRadians = std::numbers::pi / 180;
 double gaussian(std::mt19937_64& random) {
   const double radius = std::sqrt(-2 * std::log1p(-uniform(random)));
   return radius * std::cos(2 * std::numbers::pi * uniform(random));
-}
-
-/// Log of the mean squared sample over two frames around a moment.
-double log_energy(const audio::Audio& audio, double time_s, double fps) {
-  const auto rate = static_cast<double>(audio.sample_rate_hz);
-  const auto count = static_cast<int64_t>(audio.samples.size());
-  const auto at = [&](double seconds) {
-    return std::clamp(static_cast<int64_t>(std::llround(seconds * rate)), int64_t{0}, count);
-  };
-  const int64_t first = at(time_s - 1 / fps), last = at(time_s + 1 / fps);
-  double sum = 0;
-  for (int64_t i = first; i < last; ++i) {
-    const double sample = audio.samples[static_cast<size_t>(i)];
-    sum += sample * sample;
-  }
-  return std::log(sum / static_cast<double>(std::max<int64_t>(1, last - first)) + 1e-10);
 }
 
 /// In [0, 1]: 1 is as loud as the voice has been yet.
@@ -106,20 +91,48 @@ Eigen::Matrix4d about_neck(const Eigen::Vector3d& angles) {
 
 }  // namespace
 
-at::Tensor head_motion(const audio::Audio& audio, int64_t num_frames, double fps, uint64_t seed) {
-  FREETALK_CHECK(num_frames > 0 && fps > 0, "head_motion: expected frames and a frame rate, found ",
-                 num_frames, " at ", fps);
-  std::mt19937_64 random(seed);
+struct HeadMotionStream::State {
+  double rate, fps;
+  std::mt19937_64 random;
   Loudness loudness;
-  std::array<Wander, 3> wander = {Wander(kAxes[0].rate, 1 / fps), Wander(kAxes[1].rate, 1 / fps),
-                                  Wander(kAxes[2].rate, 1 / fps)};
-  const double keep_fast = std::exp(-1 / (fps * kFastS)), keep_slow = std::exp(-1 / (fps * kSlowS));
+  std::array<Wander, 3> wander;
   double fast = 0, slow = 0;
-  const at::Tensor result = at::empty({num_frames, 4, 4}, at::kDouble);
-  for (int64_t t = 0; t < num_frames; ++t) {
-    const double loud = loudness.next(log_energy(audio, static_cast<double>(t) / fps, fps));
+  std::deque<float> samples;  // from `first` on
+  int64_t first = 0, frame = 0;
+
+  State(int64_t sample_rate_hz, double frames_per_s, uint64_t seed)
+      : rate(static_cast<double>(sample_rate_hz)),
+        fps(frames_per_s),
+        random(seed),
+        wander{Wander(kAxes[0].rate, 1 / fps), Wander(kAxes[1].rate, 1 / fps),
+               Wander(kAxes[2].rate, 1 / fps)} {}
+
+  /// Log of the mean squared sample over two frames around the next frame's moment; lets go of what
+  /// no later frame hears.
+  double log_energy() {
+    const double time_s = static_cast<double>(frame) / fps;
+    const int64_t heard = first + static_cast<int64_t>(samples.size());
+    const auto at = [&](double seconds) {
+      return std::clamp(static_cast<int64_t>(std::llround(seconds * rate)), first, heard);
+    };
+    const int64_t begin = at(time_s - 1 / fps), end = at(time_s + 1 / fps);
+    samples.erase(samples.begin(), samples.begin() + (begin - first));
+    first = begin;
+    double sum = 0;
+    for (int64_t i = 0; i < end - begin; ++i) {
+      const double sample = samples[static_cast<size_t>(i)];
+      sum += sample * sample;
+    }
+    return std::log(sum / static_cast<double>(std::max<int64_t>(1, end - begin)) + 1e-10);
+  }
+
+  Eigen::Vector3d next() {
+    const double keep_fast = std::exp(-1 / (fps * kFastS));
+    const double keep_slow = std::exp(-1 / (fps * kSlowS));
+    const double loud = loudness.next(log_energy());
     fast += (1 - keep_fast) * (loud - fast);
     slow += (1 - keep_slow) * (loud - slow);
+    ++frame;
     Eigen::Vector3d angles;
     for (int k = 0; k < 3; ++k) {
       const Axis& axis = kAxes[static_cast<size_t>(k)];
@@ -127,10 +140,40 @@ at::Tensor head_motion(const audio::Audio& audio, int64_t num_frames, double fps
       const double own = wander[static_cast<size_t>(k)].next(amount, random);
       angles[k] = kRadians * (axis.fast * fast + axis.slow * slow + axis.spread * own);
     }
-    const Eigen::Matrix<double, 4, 4, Eigen::RowMajor> pose = about_neck(angles);
+    return angles;
+  }
+};
+
+HeadMotionStream::HeadMotionStream(int64_t sample_rate_hz, double fps, uint64_t seed) {
+  FREETALK_CHECK(sample_rate_hz > 0 && fps > 0, "head motion: expected rates, found ",
+                 sample_rate_hz, " Hz and ", fps, " frames per second");
+  state_ = std::make_unique<State>(sample_rate_hz, fps, seed);
+}
+
+HeadMotionStream::~HeadMotionStream() = default;
+HeadMotionStream::HeadMotionStream(HeadMotionStream&&) noexcept = default;
+HeadMotionStream& HeadMotionStream::operator=(HeadMotionStream&&) noexcept = default;
+
+void HeadMotionStream::hear(const float* samples, int64_t count) {
+  state_->samples.insert(state_->samples.end(), samples, samples + count);
+}
+
+at::Tensor HeadMotionStream::next(int64_t num_frames) {
+  const at::Tensor result = at::empty({num_frames, 4, 4}, at::kDouble);
+  for (int64_t t = 0; t < num_frames; ++t) {
+    const Eigen::Matrix<double, 4, 4, Eigen::RowMajor> pose = about_neck(state_->next());
     result[t].copy_(at::from_blob(const_cast<double*>(pose.data()), {4, 4}, at::kDouble));
   }
   return result;
+}
+
+int64_t HeadMotionStream::num_held() const { return static_cast<int64_t>(state_->samples.size()); }
+
+at::Tensor head_motion(const audio::Audio& audio, int64_t num_frames, double fps, uint64_t seed) {
+  FREETALK_CHECK(num_frames > 0, "head_motion: expected frames, found ", num_frames);
+  HeadMotionStream stream(audio.sample_rate_hz, fps, seed);
+  stream.hear(audio.samples.data(), static_cast<int64_t>(audio.samples.size()));
+  return stream.next(num_frames);
 }
 
 }  // namespace freetalk::talker

@@ -12,6 +12,7 @@
 #include "freetalk/core/torch_error.h"
 #include "freetalk/speech/stream.h"
 #include "freetalk/talker/blinks.h"
+#include "freetalk/talker/head_motion.h"
 #include "freetalk/talker/talker.h"
 #include "motion.h"
 
@@ -73,6 +74,7 @@ struct Live::State {
   speech::SpeechStream hearing;
   ats::MotionStream motion;
   BlinkStream blinks;
+  std::optional<HeadMotionStream> head;
   const rig::FaceRig* rig;  // of the face; null: STM decodes
   rig::SolveState solved;
   int64_t num_samples = 0, num_frames = 0;
@@ -86,10 +88,16 @@ struct Live::State {
         motion(face.state().models->ats, emotion_keys(chosen.emotion, chosen.intensity, own()),
                static_cast<uint64_t>(chosen.seed), moving(chosen, face.state())),
         blinks(make_blinks()),
+        head(make_head()),
         rig(chosen.rig && !face.state().models->rig.names.empty() ? &face.rig() : nullptr) {}
 
   BlinkStream make_blinks() const {
     return {face.state().models->face.landmarks68, own().fps, static_cast<uint64_t>(options.seed)};
+  }
+
+  std::optional<HeadMotionStream> make_head() const {
+    if (!options.head_motion) return {};
+    return HeadMotionStream(speech::kSampleRateHz, own().fps, static_cast<uint64_t>(options.seed));
   }
 
   /// Samples that cannot complete two pieces of speech: a window is always one piece.
@@ -101,15 +109,20 @@ struct Live::State {
     if (options.blinks) blinks.add(made);
     const at::Tensor weights =
         rig != nullptr ? rig->solve(face.state().carried(made), &solved) : at::Tensor();
+    const at::Tensor poses = head ? head->next(made.size(0)) : at::Tensor();
+    const auto of_frame = [](const at::Tensor& all, int64_t t) {
+      return all.defined() ? all[t] : all;
+    };
     for (int64_t t = 0; t < made.size(0); ++t) {
       frames.push_back({num_frames, static_cast<double>(num_frames) / own().fps, made[t],
-                        weights.defined() ? weights[t] : weights});
+                        of_frame(weights, t), of_frame(poses, t)});
       ++num_frames;
     }
   }
 
   void restart() {
     blinks = make_blinks();
+    head = make_head();
     solved = {};
     num_samples = num_frames = 0;
   }
@@ -137,6 +150,7 @@ std::vector<LiveFrame> Live::push(const std::vector<float>& samples) {
       const int64_t some = std::min(s.most(), count - first);
       const auto heard =
           at::from_blob(const_cast<float*>(samples.data() + first), {some}, at::kFloat);
+      if (s.head) s.head->hear(samples.data() + first, some);
       const auto features = s.hearing.push(heard);
       s.num_samples += some;
       if (features.size(0) > 0) s.add(s.motion.push(features), frames);
@@ -176,6 +190,13 @@ at::Tensor Live::decode(const LiveFrame& frame) const {
   });
 }
 
+at::Tensor Live::head(const LiveFrame& frame) const {
+  return core::with_plain_errors("live", [&] {
+    if (!frame.head.defined()) return frame.head;
+    return state_->face.state().in_mesh(frame.head.unsqueeze(0)).squeeze(0);
+  });
+}
+
 double Live::latency_s() const {
   return state_->hearing.latency_s() + static_cast<double>(state_->options.redo_frames) / fps();
 }
@@ -183,7 +204,10 @@ double Live::latency_s() const {
 double Live::fps() const { return state_->own().fps; }
 const LiveOptions& Live::options() const { return state_->options; }
 const Face& Live::face() const { return state_->face; }
-int64_t Live::num_held() const { return state_->hearing.num_held() + state_->motion.num_held(); }
+int64_t Live::num_held() const {
+  const State& s = *state_;
+  return s.hearing.num_held() + s.motion.num_held() + (s.head ? s.head->num_held() : 0);
+}
 
 Live Face::live(const LiveOptions& options) const { return Live(*this, options); }
 

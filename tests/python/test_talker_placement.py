@@ -92,10 +92,13 @@ def test_a_told_face_fills_what_the_caller_gives_and_streams(
     assert "+Y up, +Z forward" in face.report.alignment.summary
     with pytest.raises(ValueError, match="out must be"):
         face.animate(speech, fps=10, out=out[1:], progress=False)
-    live = face.live()
+    live = face.live(head_motion=True, seed=3)
     frames = live.push(np.array(speech.samples)) + live.finish()
     moved = live.decode(frames[-1]).numpy()
     np.testing.assert_allclose(moved[-1], 100 * whole[-1], rtol=1e-6)
+    turned = face.animate(speech, head_motion=True, seed=3, progress=False).head
+    torch.testing.assert_close(live.head(frames[-1]), turned[-1])
+    assert abs(turned[-1][:3, 3]).max() > 10 * abs(frames[-1].head[:3, 3]).max()  # cm, far away
 
 
 @pytest.mark.parametrize(

@@ -33,6 +33,7 @@ struct LiveOptions {
   std::optional<double> mouth_temperature;
   double articulation = 1.0;  // see AnimateOptions
   bool blinks = true;         // also blink where the model leaves the eyes open for long
+  bool head_motion = false;   // small motion of the head, as LiveFrame::head; see head_motion()
   // Frames carry weights of the face's rig, which the first stream makes, and are decoded with it:
   // fast enough for live speech. Without, and with weights that hold no poses, STM decodes them.
   bool rig = true;
@@ -56,6 +57,7 @@ struct LiveOptions {
     v("mouth_temperature", mouth_temperature);
     v("articulation", articulation);
     v("blinks", blinks);
+    v("head_motion", head_motion);
     v("rig", rig);
   }
   /// @throws std::invalid_argument naming the option at fault.
@@ -67,6 +69,8 @@ struct LiveFrame {
   double time_s = 0.0;   // of the speech that it belongs to: index / fps()
   at::Tensor landmarks;  // (68, 3) float32 m, displacements in the canonical frame
   at::Tensor weights;    // (W,) float32 in [0, 1] of face().rig().names(); undefined without rig
+  /// (4, 4) float64: a point x, m, canonical frame, goes to R x + t; undefined without head_motion.
+  at::Tensor head;
 };
 
 /// One stream on one face. Not to be shared between threads; the face may be.
@@ -94,6 +98,9 @@ class Live {
 
   /// (V, 3) float32 vertices of a frame, in the mesh's own unit and axes.
   at::Tensor decode(const LiveFrame& frame) const;
+  /// (4, 4) float64 rigid motion of the head in a frame, in the mesh's own unit and axes: the
+  /// vertices are without it. Undefined without head_motion.
+  at::Tensor head(const LiveFrame& frame) const;
 
   /// The longest time from a frame's moment to the sample that makes it final.
   double latency_s() const;

@@ -221,6 +221,7 @@ class LiveOptions:
     emotion: typing.Any
     emotion_ramp_s: typing.Any
     fade_s: typing.Any
+    head_motion: typing.Any
     hop_s: typing.Any
     intensity: typing.Any
     lookahead_s: typing.Any
@@ -251,6 +252,11 @@ class LiveFrame:
     A frame of a live stream.
     """
     @property
+    def head(self) -> torch.Tensor | None:
+        """
+        (4, 4) float64 rigid motion of the head, metres, canonical frame; None without head_motion.
+        """
+    @property
     def index(self) -> int: ...
     @property
     def landmarks(self) -> torch.Tensor:
@@ -275,6 +281,7 @@ class Live:
     def __init__(self, face: Face, options: LiveOptions = ...) -> None: ...
     def decode(self, frame: LiveFrame) -> torch.Tensor: ...
     def finish(self) -> list[LiveFrame]: ...
+    def head(self, frame: LiveFrame) -> torch.Tensor | None: ...
     def push(
         self, samples: typing.Annotated[numpy.typing.ArrayLike, numpy.float32]
     ) -> list[LiveFrame]: ...

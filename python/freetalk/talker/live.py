@@ -34,8 +34,9 @@ class Live:
             samples: (n,) mono speech in [-1, 1] at 16 kHz, n may be 0.
 
         Returns:
-            Frames in order, each with ``index``, ``time_s`` of the speech it belongs to, ``landmarks`` (68, 3) and
-            ``weights`` (W,) in [0, 1] of the face's rig (None where the stream has none).
+            Frames in order, each with ``index``, ``time_s`` of the speech it belongs to, ``landmarks`` (68, 3),
+            ``weights`` (W,) in [0, 1] of the face's rig (None where the stream has none), and ``head`` (4, 4), its rigid
+            motion in the canonical frame (None without ``head_motion``).
         """
         return self._native.push(np.asarray(samples, dtype=np.float32))
 
@@ -61,6 +62,14 @@ class Live:
         if self._placement is None:
             return vertices
         return self._placement.move(vertices)
+
+    def head(self, frame: LiveFrame) -> torch.Tensor | None:
+        """(4, 4) float64 rigid motion of the head in a frame, in the mesh's own unit and axes; None without ``head_motion``.
+
+        The vertices of :meth:`decode` are without it.
+        """
+        moved: torch.Tensor | None = self._native.head(frame)
+        return moved if self._placement is None else self._placement.head_motion(moved)
 
     @property
     def latency_s(self) -> float:

@@ -164,17 +164,17 @@ class Placement:
             metadata=metadata,
             metres_per_unit=_UNITS.get(found.unit, pose.scale),
             to_y_up=self._axes()[2],
-            head=self._in_mesh(native.head),
+            head=self.head_motion(native.head),
             landmarks=native.landmarks,
         )
 
-    def _in_mesh(self, head: torch.Tensor | None) -> torch.Tensor | None:
-        """Rigid motion (T, 4, 4) of the canonical frame as that of the mesh, in its own unit and axes."""
+    def head_motion(self, head: torch.Tensor | None) -> torch.Tensor | None:
+        """Rigid motion (..., 4, 4) of the canonical frame as that of the mesh, in its own unit and axes."""
         if head is None:
             return None
         pose, to = self.to_canonical, torch.eye(4, dtype=torch.float64)
         to[:3, :3] = torch.from_numpy(pose.scale * np.asarray(pose.rotation))
-        to[:3, 3] = torch.from_numpy(np.asarray(pose.translation).ravel())
+        to[:3, 3] = torch.from_numpy(np.array(pose.translation).ravel())
         return torch.linalg.inv(to) @ head @ to
 
     def alignment(self, head: Any) -> FoundAlignment:

@@ -4,7 +4,9 @@
 #include <gtest/gtest.h>
 #include <torch/torch.h>
 
+#include <algorithm>
 #include <random>
+#include <vector>
 
 namespace freetalk::talker {
 namespace {
@@ -40,6 +42,26 @@ TEST(HeadMotion, IsRigidAboutTheNeckAndStartsAtRest) {
   const at::Tensor neck = at::tensor({0., -0.092, -0.032, 1.}, at::kDouble);
   EXPECT_LT((head.matmul(neck) - neck).abs().max().item<double>(), 1e-12);
   EXPECT_LT(angles(head)[0].abs().max().item<double>(), 0.5);
+}
+
+TEST(HeadMotion, AStreamGivesTheSameBitsAndHoldsLittle) {
+  const audio::Audio audio = phrases(12);
+  const at::Tensor whole = head_motion(audio, 360, 30.0, 4);
+  HeadMotionStream stream(16000, 30.0, 4);
+  std::vector<at::Tensor> parts;
+  const auto total = static_cast<int64_t>(audio.samples.size());
+  int64_t shown = 0;
+  for (int64_t first = 0; first < total; first += 1920) {
+    const int64_t count = std::min<int64_t>(1920, total - first);
+    stream.hear(audio.samples.data() + first, count);
+    const int64_t safe = (first + count) * 30 / 16000 - 4;  // heard a frame beyond
+    if (safe <= shown) continue;
+    parts.push_back(stream.next(safe - shown));
+    shown = safe;
+    EXPECT_LT(stream.num_held(), 8 * 16000 / 30);
+  }
+  parts.push_back(stream.next(360 - shown));
+  EXPECT_TRUE(at::equal(at::cat(parts), whole));
 }
 
 TEST(HeadMotion, IsAsLargeAsThatOfTrackedHeads) {

@@ -88,6 +88,26 @@ TEST_F(LiveTest, FramesCarryWeightsOfTheFacesRigWhereTheWeightsHoldPoses) {
   EXPECT_FALSE(run(decoded, samples, 5000).front().weights.defined());
 }
 
+TEST_F(LiveTest, TheHeadMovesAsThatOfTheClip) {
+  const audio::Audio audio = hum(2.5);
+  AnimateOptions clip;
+  clip.head_motion = true;
+  clip.seed = 5;
+  LiveOptions wanted;
+  wanted.head_motion = true;
+  wanted.seed = 5;
+  for (const size_t most : {700, 40000}) {
+    Live live = face().live(wanted);
+    std::vector<at::Tensor> poses;
+    for (const LiveFrame& frame : run(live, audio.samples, most)) {
+      poses.push_back(live.head(frame));
+    }
+    EXPECT_TRUE(at::equal(at::stack(poses), face().animate(audio, clip).head));
+  }
+  Live still = face().live({});
+  EXPECT_FALSE(still.head(run(still, audio.samples, 5000).front()).defined());
+}
+
 TEST_F(LiveTest, AFrameComesWithinTheLatency) {
   Live live = face().live({});
   EXPECT_NEAR(live.latency_s(), 0.42, 1e-9);
