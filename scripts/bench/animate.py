@@ -137,13 +137,13 @@ def main() -> None:
 
 def table(arguments: argparse.Namespace, folder: Path) -> None:
     """Prints a row a process."""
-    import freetalk
+    from freetalk.mesh import Mesh, save_mesh
 
     for vertices, seconds in CASES:
         mesh_file = folder / f"{vertices}.ply"
         if not mesh_file.exists():
             points, faces = face(vertices)
-            freetalk.save_mesh(mesh_file, freetalk.Mesh(points, faces.tolist(), name="face"))
+            save_mesh(mesh_file, Mesh(points, faces.tolist(), name="face"))
         for _ in range(arguments.repetitions):
             command = [sys.executable, __file__, "--case", str(mesh_file), str(seconds)]
             command += ["--threads", str(arguments.threads), "--precision", arguments.precision]

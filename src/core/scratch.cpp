@@ -2,6 +2,9 @@
 
 #include <ATen/ATen.h>
 #include <fcntl.h>
+#ifdef __GLIBC__
+#include <malloc.h>
+#endif
 #include <sys/mman.h>
 #include <unistd.h>
 
@@ -67,6 +70,12 @@ void release_pages(const at::Tensor& tensor) {
   const auto first = reinterpret_cast<uintptr_t>(tensor.data_ptr());
   const uintptr_t start = first / page * page;
   ::madvise(reinterpret_cast<void*>(start), first - start + tensor.nbytes(), MADV_DONTNEED);
+}
+
+void give_memory_back() {
+#ifdef __GLIBC__
+  ::malloc_trim(0);
+#endif
 }
 
 }  // namespace freetalk::core

@@ -19,4 +19,7 @@ at::Tensor scratch_tensor(at::IntArrayRef sizes, int64_t threshold_bytes = int64
 /// memory; the values stay and are read again when touched. Other tensors are left alone.
 void release_pages(const at::Tensor& tensor);
 
+/// Returns what was freed to the system: glibc keeps it otherwise, for each thread that worked.
+void give_memory_back();
+
 }  // namespace freetalk::core

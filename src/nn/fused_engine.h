@@ -11,7 +11,6 @@
 #include <vector>
 
 #include "core/parallel.h"
-#include "core/work_pool.h"
 #include "freetalk/nn/sparse.h"
 #include "fused_layout.h"
 #include "nn/fused_diffusion.h"
@@ -60,10 +59,9 @@ class FusedEngine final : public FusedDiffusion::Engine {
     std::vector<std::unique_ptr<Work>> work(static_cast<size_t>(workers));
     core::parallel_tasks(num_frames, workers, [&](int64_t frame, int64_t worker) {
       std::unique_ptr<Work>& own = work[static_cast<size_t>(worker)];
-      if (!own && !(own = idle_.take())) own = std::make_unique<Work>(*this);
+      if (!own) own = std::make_unique<Work>(*this);
       run_frame(prepared, frame, *own, result.data_ptr<float>() + frame * vertices_ * outputs_);
     });
-    for (std::unique_ptr<Work>& own : work) idle_.give(std::move(own));
     return result;
   }
 
@@ -326,7 +324,6 @@ class FusedEngine final : public FusedDiffusion::Engine {
   std::vector<std::vector<T>> queries_;
   std::vector<Block> blocks_;
   at::Tensor base_, last_weight_, last_bias_;
-  mutable core::WorkPool<Work> idle_;
 };
 
 }  // namespace fused

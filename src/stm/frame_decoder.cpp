@@ -76,9 +76,10 @@ void DecodeOptions::check() const {
   FREETALK_CHECK(memory_bytes > 0, "STM: memory_bytes must be positive, found ", memory_bytes);
 }
 
-struct FrameDecoder::Fastest {
-  std::once_flag once;
-  std::unique_ptr<const FrameDecoder> decoder;
+struct FrameDecoder::Made {
+  std::once_flag fused_once, fastest_once;
+  std::unique_ptr<const nn::FusedDiffusion> fused;
+  std::unique_ptr<const FrameDecoder> fastest;
 };
 
 FrameDecoder::FrameDecoder(std::shared_ptr<StmImpl> model, const MeshFeatures& mesh,
@@ -90,41 +91,50 @@ FrameDecoder::FrameDecoder(std::shared_ptr<StmImpl> model, const MeshFeatures& m
       operators_(operators),
       options_(options),
       follower_(std::move(follower)),
-      fastest_(std::make_unique<Fastest>()) {
+      made_(std::make_unique<Made>()) {
   options.check();
-  const torch::NoGradGuard no_grad;
   auto* net = dynamic_cast<nn::DiffusionNetImpl*>(model_->decoder().get());
-  if (net != nullptr && nn::FusedDiffusion::supports(*net, operators) && mesh.hidden.is_cpu()) {
-    const int64_t attended = mesh.queries.defined() ? model_->options().attention_dim : 0;
-    const at::Tensor& weight = net->first_lin->weight;
-    fused_ = std::make_unique<nn::FusedDiffusion>(
-        *net, operators,
-        nn::FusedInput{mesh.hidden, mesh.queries,
-                       weight.narrow(1, weight.size(1) - attended, attended)},
-        options.precision == "bfloat16");
-  }
+  can_fuse_ =
+      net != nullptr && nn::FusedDiffusion::supports(*net, operators) && mesh.hidden.is_cpu();
 }
 
 FrameDecoder::~FrameDecoder() = default;
 
+const nn::FusedDiffusion* FrameDecoder::fused() const {
+  if (!can_fuse_) return nullptr;
+  std::call_once(made_->fused_once, [this] {
+    const torch::NoGradGuard no_grad;
+    auto& net = dynamic_cast<nn::DiffusionNetImpl&>(*model_->decoder());
+    const int64_t attended = mesh_.queries.defined() ? model_->options().attention_dim : 0;
+    const at::Tensor& weight = net.first_lin->weight;
+    made_->fused = std::make_unique<const nn::FusedDiffusion>(
+        net, operators_,
+        nn::FusedInput{mesh_.hidden, mesh_.queries,
+                       weight.narrow(1, weight.size(1) - attended, attended)},
+        options_.precision == "bfloat16");
+  });
+  return made_->fused.get();
+}
+
 const FrameDecoder& FrameDecoder::fastest() const {
-  if (!fused_ || options_.precision == "bfloat16" || !nn::FusedDiffusion::supports_bfloat16()) {
+  if (!can_fuse_ || options_.precision == "bfloat16" || !nn::FusedDiffusion::supports_bfloat16()) {
     return *this;
   }
-  std::call_once(fastest_->once, [this] {
-    fastest_->decoder = std::make_unique<const FrameDecoder>(
+  std::call_once(made_->fastest_once, [this] {
+    made_->fastest = std::make_unique<const FrameDecoder>(
         model_, mesh_, operators_, DecodeOptions{"bfloat16", options_.memory_bytes}, follower_);
   });
-  return *fastest_->decoder;
+  return *made_->fastest;
 }
 
 FrameDecoder::Plan FrameDecoder::plan() const {
   const int64_t vertices = operators_.num_vertices();
-  if (!fused_) {
+  const nn::FusedDiffusion* fast = fused();
+  if (fast == nullptr) {
     const int64_t bytes = working_memory(mesh_.hidden.device(), options_.memory_bytes);
     return {model_->frames_per_chunk(vertices, bytes), 1};
   }
-  const int64_t of_work = fused_->bytes_per_frame();
+  const int64_t of_work = fast->bytes_per_frame();
   const int64_t in_work =
       std::clamp<int64_t>(options_.memory_bytes / of_work, 1, core::num_threads());
   const auto& o = model_->options();
@@ -152,9 +162,9 @@ FrameInputs FrameDecoder::inputs_of(const at::Tensor& landmarks) const {
 }
 
 at::Tensor FrameDecoder::decode_chunk(const at::Tensor& landmarks, int64_t in_work) const {
-  if (fused_) {
+  if (const nn::FusedDiffusion* fast = fused()) {
     const FrameInputs inputs = inputs_of(landmarks);
-    return fused_->run({inputs.offsets, inputs.keys, inputs.values}, landmarks.size(0), in_work)
+    return fast->run({inputs.offsets, inputs.keys, inputs.values}, landmarks.size(0), in_work)
         .mul_(model_->options().displacement_scale);
   }
   if (options_.precision == "bfloat16") {
@@ -205,6 +215,10 @@ at::Tensor FrameDecoder::decode(const at::Tensor& landmarks) const {
     result.narrow(0, first, part.size(0)).copy_(part);
   });
   return result;
+}
+
+at::Tensor FrameDecoder::decode_once(const at::Tensor& landmarks) const {
+  return FrameDecoder(model_, mesh_, operators_, options_, follower_).decode(landmarks);
 }
 
 void decode_chunked(Stm& model, const MeshFeatures& mesh,

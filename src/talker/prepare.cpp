@@ -5,6 +5,7 @@
 
 #include <algorithm>
 
+#include "core/scratch.h"
 #include "face_state.h"
 #include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
@@ -124,6 +125,7 @@ std::shared_ptr<const Face::State> Face::State::prepare(std::shared_ptr<const Ta
     face->decode_by_stm(marks, known, stages);
   }
   stages.end();
+  core::give_memory_back();  // a face is kept for long
   return face;
 }
 

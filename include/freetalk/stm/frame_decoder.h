@@ -32,6 +32,8 @@ class FrameDecoder : public LandmarkDecoder {
   void decode(const at::Tensor& landmarks,
               const std::function<void(int64_t, const at::Tensor&)>& sink) const override;
   at::Tensor decode(const at::Tensor& landmarks) const override;
+  /// By a decoder of its own.
+  at::Tensor decode_once(const at::Tensor& landmarks) const override;
 
   /// The fastest decoder of this mesh on this processor: in bfloat16 where it multiplies that,
   /// made when it is first asked for; else this one.
@@ -44,6 +46,9 @@ class FrameDecoder : public LandmarkDecoder {
     int64_t chunk, in_work;
   };
   Plan plan() const;
+  /// The network laid out for this mesh, on a CPU, made when it is first needed; null where it
+  /// cannot be.
+  const nn::FusedDiffusion* fused() const;
   at::Tensor decode_chunk(const at::Tensor& landmarks, int64_t in_work) const;
   /// What the follower makes of decoded frames, each frame by itself.
   at::Tensor followed(const at::Tensor& displacements, const at::Tensor& landmarks) const;
@@ -57,9 +62,9 @@ class FrameDecoder : public LandmarkDecoder {
   geometry::SurfaceOperators operators_;
   DecodeOptions options_;
   std::shared_ptr<const LandmarkFollower> follower_;
-  std::unique_ptr<nn::FusedDiffusion> fused_;
-  struct Fastest;
-  std::unique_ptr<Fastest> fastest_;
+  bool can_fuse_ = false;
+  struct Made;
+  std::unique_ptr<Made> made_;
 };
 
 }  // namespace freetalk::stm

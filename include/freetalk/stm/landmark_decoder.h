@@ -22,6 +22,8 @@ class LandmarkDecoder {
                       const std::function<void(int64_t, const at::Tensor&)>& sink) const = 0;
   /// @returns (T, V, 3) displacements, metres, where the landmarks are.
   virtual at::Tensor decode(const at::Tensor& landmarks) const = 0;
+  /// The same for a few frames now and then: slower, but keeps nothing in memory.
+  virtual at::Tensor decode_once(const at::Tensor& landmarks) const { return decode(landmarks); }
   /// A faster decoder of the same surface with coarser numbers, or this one.
   virtual const LandmarkDecoder& fastest() const = 0;
 };
