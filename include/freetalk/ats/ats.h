@@ -1,9 +1,9 @@
 // ATS, Audio-To-Sparse [FreeTalk 3.1]: the transformer denoiser f(x_l, l, A, e, i) -> x_0 over
 // landmark displacements.
 //
-//   Z = W_x x_l + P_tgt + g_t(l) + g_c(e, i),   memory = W_h H + P_mem [Eq. 6] per layer:
-//   self-attention, cross-attention to the memory within |i - j| <= r, feed-forward          [Eq.
-//   7-10] x_0 = Z_out W_o + b_o [Eq. 11]
+//   Z = W_x x_l + P_tgt + g_t(l) + g_c(e, i), memory = W_h H + P_mem [Eq. 6]
+//   each layer: self-attention, cross-attention within |i - j| <= r, feed-forward [Eq. 7-10]
+//   x_0 = Z_out W_o + b_o [Eq. 11]
 //
 // The diffusion runs on normalised displacements (x - motion_mean) / motion_scale; the two are
 // buffers.
@@ -15,7 +15,6 @@
 #include <torch/nn/modules/linear.h>
 #include <torch/nn/pimpl.h>
 
-#include <optional>
 #include <string>
 #include <vector>
 
