@@ -248,7 +248,7 @@ struct IdentitySpace {
   at::Tensor basis, origin, coordinates;
 };
 
-/// The step of [u | z_1 | ... | z_T]: one dense system, whose frames meet in the identity.
+/// The step of [u | y_1 | ... | y_T]: one dense system, whose frames meet in the identity.
 at::Tensor joint_step(const std::vector<Frame>& frames, const IdentitySpace& space,
                       const at::Tensor& u, const at::Tensor& codes, const at::Tensor& prior,
                       const FitOptions& options) {
@@ -278,7 +278,7 @@ at::Tensor joint_step(const std::vector<Frame>& frames, const IdentitySpace& spa
   right.narrow(0, shared, count * own)
       .sub_(2 * options.prior * (codes - prior).to(at::kDouble).flatten());
   const at::Tensor factor = at::linalg_cholesky(matrix);
-  return at::cholesky_solve(right.unsqueeze(1), factor).squeeze(1).to(at::kFloat);
+  return at::cholesky_solve(right.unsqueeze(1), factor).squeeze(1);
 }
 
 void check_codes(const ParametricHeadImpl& head, const at::Tensor& z_id) {
@@ -344,38 +344,54 @@ Fit fit_identity(ParametricHead head, const std::vector<at::Tensor>& points,
     const auto some = drawn(points, options.points, scale, generator);
     const at::Tensor start = codes_or(prior, head->rest_expression, count, "prior");
     const IdentitySpace space(*head, identity_prior);
-    at::Tensor u = space.coordinates, codes = start.clone();
+    const ExpressionSpace expressions(*head);
+    const at::Tensor slope = expressions.basis.to(at::kFloat),
+                     usual = expressions.coordinates(start);
+    at::Tensor u = space.coordinates, y = usual.clone();
     const auto linearized = [&] {
-      std::vector<Frame> frames;
+      const at::Tensor z_id = space.code(u), codes = expressions.codes(y);
+      std::vector<Linearized> rows;
       for (int64_t t = 0; t < count; ++t) {
-        frames.push_back(normal_equations(
-            linearize_both(*head, some[static_cast<size_t>(t)], space.code(u), codes[t]), options,
-            options.sigma_mm, scale));
+        rows.push_back(linearize_both(*head, some[static_cast<size_t>(t)], z_id, codes[t]));
+        const auto parts = rows.back().jacobian.split_with_sizes({z_id.size(0), slope.size(0)}, 1);
+        rows.back().jacobian = at::cat({parts[0], parts[1].mm(slope)}, 1);
+      }
+      return rows;
+    };
+    const auto equations = [&](const std::vector<Linearized>& rows, double sigma_mm) {
+      std::vector<Frame> frames;
+      for (const Linearized& own : rows) {
+        frames.push_back(normal_equations(own, options, sigma_mm, scale));
       }
       return frames;
     };
-    const auto cost = [](const std::vector<Frame>& frames) {
-      double sum = 0;
+    const auto cost = [&](const std::vector<Frame>& frames) {
+      double sum = options.prior * (u.square().sum() + (y - usual).square().sum()).item<double>();
       for (const Frame& frame : frames) sum += frame.cost;
       return sum;
     };
-    std::vector<Frame> frames = linearized();
+    std::vector<Linearized> rows = linearized();
+    std::vector<Frame> frames;
     for (int64_t iteration = 0; iteration < options.iterations; ++iteration) {
-      at::Tensor step = joint_step(frames, space, u, codes, start, options);
-      const at::Tensor u_before = u, codes_before = codes;
+      const double sigma_mm = spread_mm(rows, options, scale);
+      frames = equations(rows, sigma_mm);
+      const double before = cost(frames);
+      at::Tensor step = joint_step(frames, space, u, y, usual, options);
+      const at::Tensor u_before = u, y_before = y;
       std::vector<Frame> next;
       for (int halving = 0; halving <= kHalvings; ++halving, step = step / 2) {
-        u = u_before + step.narrow(0, 0, u.size(0));
-        codes = codes_before + step.narrow(0, u.size(0), codes.numel()).view_as(codes);
-        next = linearized();
-        if (cost(next) <= cost(frames)) break;
+        u = u_before + step.narrow(0, 0, u.size(0)).to(at::kFloat);
+        y = y_before + step.narrow(0, u.size(0), y.numel()).view_as(y);
+        rows = linearized();
+        next = equations(rows, sigma_mm);
+        if (cost(next) <= before) break;
       }
       const double gain = (mean_error(frames) - mean_error(next)) / scale * 1e3;
       frames = std::move(next);
       if (on_step) on_step(iteration + 1, options.iterations);
       if (std::abs(gain) < options.tolerance_mm) break;
     }
-    return Fit{space.code(u), codes, errors_mm(frames, scale)};
+    return Fit{space.code(u), expressions.codes(y), errors_mm(frames, scale)};
   });
 }
 

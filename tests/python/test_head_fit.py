@@ -10,6 +10,8 @@ import torch
 from test_head import tiny
 from torch import Tensor
 
+from freetalk._pretrained import find_weights
+from freetalk.corpus.assets import EXTENTS, load_face_model
 from freetalk.head import (
     Codes,
     FitOptions,
@@ -167,6 +169,23 @@ def test_identities_are_found(coefficients: int) -> None:
     start = fit_identity(head, [points], options=FitOptions(prior=1e6, points=0, iterations=1))
     assert fit.z_id.shape == (head.identity_dim,)
     assert float(fit.error_mm) < 0.1 * float(start.error_mm)
+
+
+@pytest.mark.slow
+def test_an_unseen_identity_is_found_by_the_shipped_head() -> None:
+    """Identity and expression weigh alike: neither runs away to explain what is the other's."""
+    head = ParametricHead.from_pretrained(find_weights("open-small") / "head").eval()
+    model, count = load_face_model(), EXTENTS["head"]
+    weights = 0.8 * np.random.default_rng(3).standard_normal(len(model.identity_basis))
+    vertices = model.neutral[:count] + np.tensordot(weights, model.identity_basis[:, :count], 1)
+    marks = vertices[model.landmarks68]
+    face = np.linalg.norm(vertices[:, None] - marks, axis=2).min(axis=1) < 0.03
+    fit = fit_identity(head, [vertices], options=FitOptions(points=1500))
+    rest = head.state_dict()["rest_expression"]
+    points = torch.as_tensor(4 * vertices[face], dtype=torch.float32)
+    apart_mm = 250 * PreparedHead(head, fit.z_id).sdf(points, rest).abs()
+    assert float(apart_mm.mean()) < 1.0
+    assert float(fit.error_mm) < 1.0
 
 
 def test_frames_without_points_are_refused(trained: ParametricHead) -> None:
