@@ -59,7 +59,8 @@ double guarded_cotangent(double dot, double double_area, double longest_squared,
 SparseMatrix cotan_laplacian(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
                              Regularization regularization) {
   std::vector<Eigen::Triplet<double>> entries;
-  entries.reserve(static_cast<size_t>(faces.rows()) * 12);
+  entries.reserve(static_cast<size_t>(faces.rows() * 12 + vertices.rows()));
+  for (int v = 0; v < vertices.rows(); ++v) entries.emplace_back(v, v, 0.0);
   for (Eigen::Index f = 0; f < faces.rows(); ++f) {
     const double double_area = mesh::area_vector(vertices, faces, f).norm();
     double longest_squared = 0.0;

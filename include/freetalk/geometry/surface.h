@@ -21,7 +21,7 @@ enum class Regularization {
 };
 
 /// (V, V) cotangent Laplacian, positive semi-definite: L_ij = -(cot a_ij + cot b_ij) / 2, rows sum
-/// to zero.
+/// to zero. All of the diagonal is stored, that of vertices without faces too.
 SparseMatrix cotan_laplacian(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
                              Regularization regularization = Regularization::kRelative);
 

@@ -53,6 +53,18 @@ TEST(CotanLaplacian, AnnihilatesConstantsAndLinearFunctionsInThePlane) {
   }
 }
 
+TEST(CotanLaplacian, StoresTheDiagonalOfVerticesWithoutFaces) {
+  const Eigen::MatrixXd vertices = Eigen::MatrixXd::Random(5, 3);
+  const SparseMatrix laplacian = cotan_laplacian(vertices, Eigen::RowVector3i(0, 2, 4));
+  for (int v = 0; v < 5; ++v) {
+    int stored = 0;
+    for (SparseMatrix::InnerIterator entry(laplacian, v); entry; ++entry) {
+      stored += entry.row() == v;
+    }
+    EXPECT_EQ(stored, 1) << v;  // else diagonal() += x writes where nothing is
+  }
+}
+
 TEST(CotanLaplacian, StaysFiniteAndPositiveOnDegenerateFaces) {
   Shape shape = grid(5);
   const Eigen::Index old = shape.faces.rows();
