@@ -174,20 +174,6 @@ at::Tensor FrameDecoder::decode_chunk(const at::Tensor& landmarks, int64_t in_wo
   return model_->decode(mesh_, operators_, landmarks);
 }
 
-at::Tensor FrameDecoder::followed(const at::Tensor& displacements,
-                                  const at::Tensor& landmarks) const {
-  if (!follower_) return displacements;
-  if (!displacements.is_cpu()) return follower_->apply(displacements, landmarks);
-  at::Tensor result = at::empty_like(displacements);
-  core::parallel_for(0, landmarks.size(0), 1, [&](int64_t begin, int64_t end) {
-    for (int64_t t = begin; t < end; ++t) {
-      result.narrow(0, t, 1).copy_(
-          follower_->apply(displacements.narrow(0, t, 1), landmarks.narrow(0, t, 1)));
-    }
-  });
-  return result;
-}
-
 void FrameDecoder::each_chunk(const at::Tensor& landmarks,
                               const std::function<void(int64_t, const at::Tensor&)>& use) const {
   core::with_plain_errors("STM", [&] {
@@ -196,7 +182,8 @@ void FrameDecoder::each_chunk(const at::Tensor& landmarks,
     for (int64_t first = 0; first < landmarks.size(0); first += chunk) {
       const int64_t count = std::min(chunk, landmarks.size(0) - first);
       const at::Tensor part = landmarks.narrow(0, first, count);
-      use(first, followed(decode_chunk(part, in_work), part));
+      const at::Tensor decoded = decode_chunk(part, in_work);
+      use(first, follower_ ? follower_->apply_frames(decoded, part) : decoded);
     }
   });
 }

@@ -10,6 +10,7 @@
 
 #include "core/smoothstep.h"
 #include "freetalk/core/error.h"
+#include "stm/lip_sides.h"
 
 namespace freetalk::stm {
 namespace {
@@ -94,22 +95,6 @@ class Cut {
   std::array<std::vector<Eigen::RowVector3d>, 2> sides_;
   bool joined_ = false;
 };
-
-template <class Pairs>
-std::vector<bool> upper_side(const at::Tensor& weights, const Pairs& pairs) {
-  const auto of = weights.accessor<float, 2>();
-  std::vector<bool> upper(static_cast<size_t>(of.size(0)));
-  for (int64_t v = 0; v < of.size(0); ++v) {
-    float best[2] = {0, 0};
-    for (const auto& pair : pairs) {
-      for (size_t side = 0; side < 2; ++side) {
-        best[side] = std::max(best[side], of[v][pair[side]]);
-      }
-    }
-    upper[static_cast<size_t>(v)] = best[0] > best[1];
-  }
-  return upper;
-}
 
 /// Opening of a pair in a frame.
 template <class Pair>

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <vector>
 
+#include "core/parallel.h"
 #include "core/smoothstep.h"
 #include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
@@ -90,6 +91,18 @@ at::Tensor LandmarkFollower::apply(const at::Tensor& displacements,
                                .mul(shares_.unsqueeze(-1))
                                .sum(2);  // (T, 68, 3)
   return reach_ * (smooth + at::matmul(weights_, landmarks - there));
+}
+
+at::Tensor LandmarkFollower::apply_frames(const at::Tensor& displacements,
+                                          const at::Tensor& landmarks) const {
+  if (!displacements.is_cpu()) return apply(displacements, landmarks);
+  at::Tensor result = at::empty_like(displacements);
+  core::parallel_for(0, landmarks.size(0), 1, [&](int64_t begin, int64_t end) {
+    for (int64_t t = begin; t < end; ++t) {
+      result.narrow(0, t, 1).copy_(apply(displacements.narrow(0, t, 1), landmarks.narrow(0, t, 1)));
+    }
+  });
+  return result;
 }
 
 LandmarkFollower LandmarkFollower::to(const c10::Device& device) const {

@@ -1,5 +1,8 @@
 #include "stm/lip_sides.h"
 
+#include <ATen/ATen.h>
+
+#include <algorithm>
 #include <functional>
 #include <limits>
 #include <queue>
@@ -105,6 +108,21 @@ void put_on_their_lips(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& f
     places.shares(inner, Eigen::all) = moved.shares;
     places.distance(inner) = moved.distance;
   }
+}
+
+std::vector<bool> upper_side(const at::Tensor& weights, std::span<const std::array<int, 2>> pairs) {
+  const auto of = weights.accessor<float, 2>();
+  std::vector<bool> upper(static_cast<size_t>(of.size(0)));
+  for (int64_t v = 0; v < of.size(0); ++v) {
+    float best[2] = {0, 0};
+    for (const auto& pair : pairs) {
+      for (size_t side = 0; side < 2; ++side) {
+        best[side] = std::max(best[side], of[v][pair[side]]);
+      }
+    }
+    upper[static_cast<size_t>(v)] = best[0] > best[1];
+  }
+  return upper;
 }
 
 }  // namespace freetalk::stm

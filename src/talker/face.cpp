@@ -148,8 +148,9 @@ std::vector<animation::Animation> Face::animate_many(const audio::Audio& audio,
       if (by_head != nullptr && motion.codes.defined()) {
         const at::Tensor codes = by_head->codes_of(motion.codes, face.models->facetalk->options(),
                                                    motion.spoken, motion.landmarks);
-        by_head->decode_codes(
-            codes, [&](int64_t first, const at::Tensor& skin) { progress_of(place(first, skin)); });
+        by_head->decode_codes(codes, landmarks, [&](int64_t first, const at::Tensor& skin) {
+          progress_of(place(first, skin));
+        });
         decoded = {frames, frames, 0.0, 0.0};
       } else {
         stm::decode_adaptively(*face.decoder, landmarks.to(face.device), place,

@@ -61,7 +61,8 @@ struct HeadDecoder::Fastest {
 };
 
 HeadDecoder::HeadDecoder(const head::PreparedHead& head, const rig::RigPoses& rig,
-                         const at::Tensor& canonical, const at::Tensor& share)
+                         const at::Tensor& canonical, const at::Tensor& share,
+                         std::shared_ptr<const stm::LandmarkFollower> follower)
     : head_(head),
       shapes_(std::make_shared<const Shapes>(
           Shapes{{columns_of(rig.shapes), rig.names, rig::RigOptions{}},
@@ -73,6 +74,7 @@ HeadDecoder::HeadDecoder(const head::PreparedHead& head, const rig::RigPoses& ri
                      .contiguous()),
       share_(share.index_select(0, moving_).unsqueeze(1) / head.options().units_per_metre),
       posed_(head_.to_posed(canonical_, head_.head()->rest_expression)),
+      follower_(std::move(follower)),
       fastest_(std::make_unique<Fastest>()) {}
 
 HeadDecoder::HeadDecoder(const HeadDecoder& other, const head::PreparedHead& head)
@@ -83,6 +85,7 @@ HeadDecoder::HeadDecoder(const HeadDecoder& other, const head::PreparedHead& hea
       canonical_(other.canonical_),
       share_(other.share_),
       posed_(head_.to_posed(canonical_, head_.head()->rest_expression)),
+      follower_(other.follower_),
       fastest_(std::make_unique<Fastest>()) {}
 
 HeadDecoder::~HeadDecoder() = default;
@@ -128,7 +131,7 @@ at::Tensor HeadDecoder::codes_of(const at::Tensor& codes, const facetalk::FaceTa
   return model->expression_code(weights.clamp(0, 1));
 }
 
-void HeadDecoder::decode_codes(const at::Tensor& codes,
+void HeadDecoder::decode_codes(const at::Tensor& codes, const at::Tensor& landmarks,
                                const std::function<void(int64_t, const at::Tensor&)>& sink) const {
   for (int64_t first = 0; first < codes.size(0); first += kChunk) {
     const int64_t count = std::min(kChunk, codes.size(0) - first);
@@ -137,13 +140,14 @@ void HeadDecoder::decode_codes(const at::Tensor& codes,
       const at::Tensor posed = head_.to_posed(canonical_, codes[first + frame]);
       part[frame].index_copy_(0, moving_, (posed - posed_) * share_);
     }
-    sink(first, part);
+    sink(first,
+         follower_ ? follower_->apply_frames(part, landmarks.narrow(0, first, count)) : part);
   }
 }
 
 void HeadDecoder::decode(const at::Tensor& landmarks,
                          const std::function<void(int64_t, const at::Tensor&)>& sink) const {
-  decode_codes(codes_of(landmarks), sink);
+  decode_codes(codes_of(landmarks), landmarks.to(at::kCPU), sink);
 }
 
 at::Tensor HeadDecoder::decode(const at::Tensor& landmarks) const {

@@ -9,6 +9,7 @@
 #include "freetalk/head/prepared_head.h"
 #include "freetalk/rig/face_rig.h"
 #include "freetalk/stm/landmark_decoder.h"
+#include "freetalk/stm/landmark_follower.h"
 
 namespace freetalk::talker {
 
@@ -23,8 +24,11 @@ class HeadDecoder : public stm::LandmarkDecoder {
   /// @param rig the landmark motion of ARKit's shapes.
   /// @param canonical (V, 3) points in canonical space, metres.
   /// @param share (V,) of its displacement that a point keeps; points of share 0 cost nothing.
+  /// @param follower of the mesh whose vertices the points are: their motion is made to follow the
+  /// landmarks; none: it is the head's.
   HeadDecoder(const head::PreparedHead& head, const rig::RigPoses& rig, const at::Tensor& canonical,
-              const at::Tensor& share);
+              const at::Tensor& share,
+              std::shared_ptr<const stm::LandmarkFollower> follower = nullptr);
   ~HeadDecoder() override;
 
   void decode(const at::Tensor& landmarks,
@@ -38,8 +42,8 @@ class HeadDecoder : public stm::LandmarkDecoder {
   /// expressions, whose landmarks `spoken` (T, 68, 3) became `landmarks`. Weights stay in [0, 1].
   at::Tensor codes_of(const at::Tensor& codes, const facetalk::FaceTalkOptions& options,
                       const at::Tensor& spoken, const at::Tensor& landmarks) const;
-  /// As decode(), of codes (T, expression_dim).
-  void decode_codes(const at::Tensor& codes,
+  /// As decode(), of codes (T, expression_dim) that move landmarks (T, 68, 3).
+  void decode_codes(const at::Tensor& codes, const at::Tensor& landmarks,
                     const std::function<void(int64_t, const at::Tensor&)>& sink) const;
 
   const head::PreparedHead& head() const { return head_; }
@@ -58,6 +62,7 @@ class HeadDecoder : public stm::LandmarkDecoder {
   at::Tensor moving_;             // (M,) points that move
   at::Tensor canonical_, share_;  // (M, 3) head units, (M, 1) metres of a head unit
   at::Tensor posed_;              // (M, 3) at rest, head units
+  std::shared_ptr<const stm::LandmarkFollower> follower_;
   std::unique_ptr<Fastest> fastest_;
 };
 

@@ -10,12 +10,15 @@
 #include <utility>
 
 #include "core/smoothstep.h"
+#include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
 #include "freetalk/core/random.h"
 #include "freetalk/head/fit.h"
 #include "freetalk/head/surface.h"
 #include "freetalk/head/track.h"
 #include "head_decoder.h"
+#include "head_lips.h"
+#include "stm/lip_sides.h"
 
 namespace freetalk::talker {
 namespace {
@@ -47,6 +50,26 @@ at::Tensor inside(const at::Tensor& vertices, const head::HeadOptions& options) 
   const at::Tensor kept =
       vertices.ge(corner(options.box_min)).logical_and(vertices.le(corner(options.box_max))).all(1);
   return vertices.index_select(0, kept.nonzero().squeeze(1));
+}
+
+/// Canonical points (V, 3) of vertices whose lips may touch: how far they are from their vertices
+/// goes on smoothly to the rim of each lip.
+at::Tensor with_lips_apart(const Face::State& face, const at::Tensor& vertices,
+                           const at::Tensor& canonical) {
+  const auto upper = stm::upper_side(face.follower->weights(), core::kInnerLips);
+  const Eigen::RowVector3d mouth =
+      face.models->face.landmarks68.bottomRows(core::kNumLandmarks - core::kFirstInnerLip)
+          .colwise()
+          .mean();
+  const at::Tensor apart = (canonical - vertices).contiguous();
+  const Eigen::MatrixXd offsets =
+      Eigen::Map<const Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor>>(
+          apart.const_data_ptr<float>(), apart.size(0), 3)
+          .cast<double>();
+  return vertices +
+         to_tensor(continued_to_the_lips(face.parts->face_vertices(), face.parts->face_faces(),
+                                         upper, mouth, offsets),
+                   c10::kCPU);
 }
 
 std::string one_decimal(double value) {
@@ -84,9 +107,11 @@ std::unique_ptr<const stm::LandmarkDecoder> head_of_mesh(const Face::State& face
   report.parts += "; " + found;
   if (apart > kPoorFitMm) report.notices.push_back(found + ", so its motion may not fit");
   const head::PreparedHead head(model, fit.z_id, {face.options.precision});
+  at::Tensor canonical = head::canonical_template(head, vertices);
+  if (face.follower) canonical = with_lips_apart(face, vertices, canonical);
   return std::make_unique<const HeadDecoder>(
-      head, face.models->rig, head::canonical_template(head, vertices),
-      reach(face.parts->face_vertices(), face.models->face.landmarks68));
+      head, face.models->rig, canonical,
+      reach(face.parts->face_vertices(), face.models->face.landmarks68), face.follower);
 }
 
 std::shared_ptr<const Face::State> Face::State::of_head(std::shared_ptr<const TalkerModels> models,

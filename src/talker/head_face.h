@@ -8,9 +8,10 @@
 
 namespace freetalk::talker {
 
-/// The head that fits the skin best moves it. A notice says how far the two are apart.
-/// @param face with its alignment and parts. @throws std::invalid_argument for a mesh that has
-/// nothing where the head is.
+/// The head that fits the skin best moves it, its landmarks as the face's follower has them. A
+/// notice says how far the two are apart.
+/// @param face with its alignment, parts and follower. @throws std::invalid_argument for a mesh
+/// that has nothing where the head is.
 std::unique_ptr<const stm::LandmarkDecoder> head_of_mesh(const Face::State& face, Report& report,
                                                          const Stages& stages);
 

@@ -7,6 +7,7 @@
 #include "freetalk/core/error.h"
 #include "freetalk/diffusion/sampler.h"
 #include "freetalk/geometry/alignment.h"
+#include "freetalk/talker/models.h"
 
 namespace freetalk::talker {
 namespace {

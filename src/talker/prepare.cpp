@@ -120,6 +120,7 @@ std::shared_ptr<const Face::State> Face::State::prepare(std::shared_ptr<const Ta
   }
   if (options.engine == "head") {
     stages.begin("features");
+    face->follow(marks, known, /*usually=*/true, c10::kCPU);
     face->decoder = head_of_mesh(*face, report, stages);
   } else {
     face->decode_by_stm(marks, known, stages);
@@ -127,6 +128,27 @@ std::shared_ptr<const Face::State> Face::State::prepare(std::shared_ptr<const Ta
   stages.end();
   core::give_memory_back();  // a face is kept for long
   return face;
+}
+
+void Face::State::follow(const Eigen::MatrixXd& landmarks, bool known, bool usually,
+                         const c10::Device& where) {
+  const std::string& wanted = options.follow_landmarks;
+  if (wanted == "no" || (wanted == "auto" && !usually)) return;
+  const Eigen::MatrixXd& vertices = parts->face_vertices();
+  stm::FollowOptions how;
+  if (!known) how.kriging.noise = kUncertain;
+  const stm::LandmarkFollower made(vertices, parts->face_faces(), landmarks, models->face.outward68,
+                                   how);
+  const int64_t followed = made.num_followed();
+  if (2 * followed >= core::kNumLandmarks) {
+    follower = std::make_shared<const stm::LandmarkFollower>(made.to(where));
+    carrier = std::make_unique<const stm::LandmarkCarrier>(vertices, parts->face_faces(), made,
+                                                           models->face.landmarks68, known);
+  } else {
+    report.notices.push_back(core::join("only ", followed,
+                                        " of the 68 landmarks are near the surface: the motion is "
+                                        "not made to follow them"));
+  }
 }
 
 void Face::State::decode_by_stm(const Eigen::MatrixXd& landmarks, bool known, Stages& stages) {
@@ -140,24 +162,7 @@ void Face::State::decode_by_stm(const Eigen::MatrixXd& landmarks, bool known, St
 
   stages.begin("features");
   const auto features = stm->encode(to_tensor(vertices, device), operators);
-  const std::string& wanted = options.follow_landmarks;
-  if (wanted == "yes" || (wanted == "auto" && stm->options().follows_landmarks)) {
-    stm::FollowOptions follow;
-    if (!known) follow.kriging.noise = kUncertain;
-    const stm::LandmarkFollower made(vertices, parts->face_faces(), landmarks,
-                                     models->face.outward68, follow);
-    const int64_t followed = made.num_followed();
-    if (2 * followed >= core::kNumLandmarks) {
-      follower = std::make_shared<const stm::LandmarkFollower>(made.to(device));
-      carrier = std::make_unique<const stm::LandmarkCarrier>(vertices, parts->face_faces(), made,
-                                                             models->face.landmarks68, known);
-    } else {
-      report.notices.push_back(
-          core::join("only ", followed,
-                     " of the 68 landmarks are near the surface: the motion is "
-                     "not made to follow them"));
-    }
-  }
+  follow(landmarks, known, stm->options().follows_landmarks, device);
   decoder = std::make_unique<const stm::FrameDecoder>(
       stm.ptr(), features, operators,
       stm::DecodeOptions{options.precision, options.memory_mb << 20}, follower);

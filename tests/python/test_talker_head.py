@@ -15,6 +15,7 @@ from test_head_fit import ball
 import freetalk
 from freetalk._pretrained import find_weights
 from freetalk.cli import main
+from freetalk.corpus.assets import load_face_model, mean_face
 from freetalk.head import Codes, ParametricHead, PreparedHead, extract, save_codes
 from freetalk.mesh import Mesh
 
@@ -128,6 +129,35 @@ def test_a_mesh_is_moved_by_the_head_that_fits_it(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("known", [True, False])
+def test_the_lips_of_a_mesh_open_as_far_as_the_motion_says(voice: Path, known: bool) -> None:
+    """Lips that touch at rest are one place to the head's field; the mesh knows which is which."""
+    model = load_face_model()
+    vertices, faces = mean_face("face")
+    talker = freetalk.Talker.from_pretrained("open-small", device="cpu")
+    face = talker.prepare(
+        Mesh(vertices, faces.tolist()),
+        engine="head",
+        landmarks=model.landmarks68 if known else None,
+        unit="m",
+        up="+y",
+        forward="+z",
+        progress=False,
+        cache_dir=None,
+    )
+    animation = face.animate(voice, emotion="surprised", intensity=3, progress=False)
+    said = _opening_mm(np.asarray(animation.landmarks))
+    made = _opening_mm(np.asarray(animation.displacements)[:, model.landmarks68])
+    wide = said > 3
+    assert wide.sum() >= 5
+    assert np.abs(made[wide] / said[wide] - 1).max() < 0.1
+    silent = freetalk.Audio(np.zeros(8000, np.float32), 16000)
+    still = np.asarray(face.animate(silent, progress=False).displacements)
+    gap = _opening_mm((vertices + still)[:, model.landmarks68])
+    assert np.abs(gap).max() < 0.5 < _opening_mm(vertices[None, model.landmarks68])[0]
+
+
+@pytest.mark.slow
 def test_one_command(weights: Path, head: ParametricHead, voice: Path, tmp_path: Path) -> None:
     common = ["animate", "--pretrained", str(weights), "--engine", "head", "--audio", str(voice)]
     out = tmp_path / "talk.npz"
@@ -179,6 +209,12 @@ def test_a_folder_without_what_a_head_needs_is_refused(
         nameless.prepare_head(nameless.sample_identity(0), progress=False)
     with pytest.raises(ValueError, match="engine must be stm or head"):
         talker.prepare(Mesh(np.eye(3), [[0, 1, 2]]), engine="other", progress=False)
+
+
+def _opening_mm(moved: np.ndarray) -> np.ndarray:
+    """(T,) of the inner lips, mean of three pairs. Args: moved: (T, 68, 3) m."""
+    pairs = moved[:, [61, 62, 63], 1] - moved[:, [67, 66, 65], 1]
+    return np.asarray(1e3 * pairs.mean(axis=1))
 
 
 def _coarse() -> freetalk.head.SurfaceOptions:

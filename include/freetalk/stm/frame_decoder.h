@@ -50,8 +50,6 @@ class FrameDecoder : public LandmarkDecoder {
   /// cannot be.
   const nn::FusedDiffusion* fused() const;
   at::Tensor decode_chunk(const at::Tensor& landmarks, int64_t in_work) const;
-  /// What the follower makes of decoded frames, each frame by itself.
-  at::Tensor followed(const at::Tensor& displacements, const at::Tensor& landmarks) const;
   void each_chunk(const at::Tensor& landmarks,
                   const std::function<void(int64_t, const at::Tensor&)>& use) const;
   /// What the decoder takes in, each frame by itself: its bits do not depend on the others.

@@ -57,6 +57,9 @@ class LandmarkFollower {
   /// @returns (T, V, 3); differentiable.
   at::Tensor apply(const at::Tensor& displacements, const at::Tensor& landmarks) const;
 
+  /// As apply(), each frame by itself, over the threads: its bits depend on no other frame.
+  at::Tensor apply_frames(const at::Tensor& displacements, const at::Tensor& landmarks) const;
+
   /// A copy on a device.
   LandmarkFollower to(const c10::Device& device) const;
 

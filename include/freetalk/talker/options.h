@@ -31,7 +31,7 @@ struct FaceOptions {
   std::string precision = "float32";  // of ATS and STM: "float32" or "bfloat16" (faster, coarser)
   int64_t memory_mb = 256;            // working memory of decoding, beside the result
   /// "yes": the surface follows the landmarks where they are on the mesh (stm/landmark_follower.h);
-  /// "no": it moves as STM's decoder has it; "auto": as the weights say.
+  /// "no": it moves as the engine has it; "auto": as STM's weights say, and always with "head".
   std::string follow_landmarks = "auto";
   /// Folder that keeps what is computed of a mesh for the next time; "auto":
   /// geometry::default_cache_dir(). Nothing, the default here: no file is read or written. (Python

@@ -148,8 +148,8 @@ class Talker:
                 raises ends the work.
             options: fields of ``FaceOptions``: unit, up, forward, engine ("stm", or "head" where the weights hold a
                 parametric head: the one that fits the mesh best moves it), precision, memory_mb, follow_landmarks ("yes",
-                "no", or "auto": as the weights say) and cache_dir ("auto", the default here: the user's cache
-                folder; None: no file is read or written).
+                "no", or "auto": as STM's weights say, always with "head") and cache_dir ("auto", the default here: the
+                user's cache folder; None: no file is read or written).
 
         Returns:
             A face, for any number of clips, seeds and threads.

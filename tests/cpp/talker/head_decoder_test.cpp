@@ -3,6 +3,9 @@
 #include <gtest/gtest.h>
 #include <torch/torch.h>
 
+#include <cmath>
+#include <vector>
+
 namespace freetalk::talker {
 namespace {
 
@@ -115,6 +118,49 @@ TEST_F(HeadDecoderTest, WhatLandmarksGainedIsAddedToSpokenWeightsWithinTheirRang
   EXPECT_LT((found(0.3, 0.3, 0.6) - code(0.6)).norm().item<double>(), 0.05 * unit);
   EXPECT_LT((found(0.9, 0.2, 0.9) - code(1)).norm().item<double>(), 0.05 * unit);
   EXPECT_TRUE(at::equal(found(1.5, 0, 0), code(1)));
+}
+
+TEST_F(HeadDecoderTest, PlacesOfTheLandmarksFollowThem) {
+  // A rough sheet of 21 x 21 vertices, 68 of them landmarks.
+  constexpr int kSide = 21;
+  Eigen::MatrixXd vertices(kSide * kSide, 3);
+  Eigen::MatrixXi faces(2 * (kSide - 1) * (kSide - 1), 3);
+  int face = 0;
+  for (int v = 0; v < vertices.rows(); ++v) {
+    const int row = v / kSide, column = v % kSide;
+    vertices.row(v) << 0.005 * (column - 10), 0.005 * (row - 10), 0.002 * ((row + column) % 3);
+    if (row + 1 == kSide || column + 1 == kSide) continue;
+    faces.row(face++) << v, v + 1, v + kSide + 1;
+    faces.row(face++) << v, v + kSide + 1, v + kSide;
+  }
+  std::vector<int> places(68);
+  for (int n = 0; n < 68; ++n) places[static_cast<size_t>(n)] = 6 * n + 10;
+  const auto follower = std::make_shared<const stm::LandmarkFollower>(
+      vertices, faces, vertices(places, Eigen::all), Eigen::MatrixXd::Zero(68, 3));
+  const at::Tensor canonical = 0.1 * at::rand({vertices.rows(), 3}) - 0.05;
+  const head::PreparedHead head(model_, z_id_);
+  const at::Tensor share = at::ones({vertices.rows()});
+  const HeadDecoder plain(head, poses(), canonical, share);
+  const HeadDecoder following(head, poses(), canonical, share, follower);
+  // Smooth motion that the head's three expressions cannot explain.
+  at::Tensor landmarks = at::empty({40, 68, 3});
+  for (int n = 0; n < 68; ++n) {
+    const double x = vertices(places[static_cast<size_t>(n)], 0);
+    landmarks.select(1, n).copy_(at::linspace(0, 5e-3, 40).unsqueeze(1) * std::cos(20 * x));
+  }
+  const at::Tensor index = at::tensor(places, at::kLong);
+  const auto off = [&](const HeadDecoder& decoder) {
+    const at::Tensor there = decoder.decode(landmarks).index_select(1, index);
+    return (there - landmarks).abs().mean().item<double>();
+  };
+  EXPECT_GT(off(plain), 1e-3);
+  EXPECT_LT(off(following), 1e-4);
+  EXPECT_LT(off(dynamic_cast<const HeadDecoder&>(following.fastest())), 1e-4);
+  const at::Tensor codes = following.codes_of(landmarks);
+  std::vector<at::Tensor> parts;
+  following.decode_codes(codes, landmarks,
+                         [&](int64_t, const at::Tensor& part) { parts.push_back(part); });
+  EXPECT_TRUE(at::equal(at::cat(parts), following.decode(landmarks)));
 }
 
 TEST_F(HeadDecoderTest, AFrameDependsOnNoOther) {
