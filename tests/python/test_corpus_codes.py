@@ -13,8 +13,10 @@ from test_head import tiny
 from test_head_fit import ball
 
 from freetalk.cli import main
-from freetalk.corpus.heads import head_model
+from freetalk.corpus.heads import PosedHead, head_model, held_out_identities
 from freetalk.data import open_dataset
+from freetalk.evaluate.heads import _by_region, seen_from
+from freetalk.geometry import SurfaceTree
 from freetalk.head import ParametricHead, content_hash
 
 
@@ -84,12 +86,42 @@ def test_a_head_is_scored_by_region(
     model.load_state_dict(state, strict=False)
     model.save_pretrained(tmp_path / "head")
     common = ["head", "score", "--head", str(tmp_path / "head"), "--data", str(corpus)]
-    assert main([*common, "--identities", "1", "--expressions", "1"]) == 0
-    lines = [line.split() for line in capsys.readouterr().out.splitlines()[1:]]
-    assert [line[:2] for line in lines] == [
-        [kind, region] for kind in ("canonical", "posed") for region in ("face", "lips", "head")
-    ]
-    assert all(float(line[2]) > 3 for line in lines)  # mm: a ball is no head
+    common += ["--identities", "1", "--expressions", "1", "--points", "5000", "--one-view"]
+    assert main(common) == 0
+    lines = capsys.readouterr().out.replace("one view", "one_view").splitlines()[1:]
+    rows = [line.split() for line in lines]
+    kinds, regions = ("canonical", "posed", "one_view"), ("face", "lips", "head")
+    assert [row[:2] for row in rows] == [[kind, region] for kind in kinds for region in regions]
+    assert all(float(row[2]) > 3 for row in rows[:6])  # mm: a ball is no head
+
+
+def _true_head() -> PosedHead:
+    rig = head_model()
+    return PosedHead(rig, held_out_identities()[0], np.zeros(len(rig.expression_names), np.float32))
+
+
+def test_what_nobody_sees_does_not_count() -> None:
+    """The true head's own backs of eyes and inside of the mouth are no errors."""
+    truth = _true_head()
+    mesh = (1e3 * truth.vertices, truth.faces)
+    for region, scores in _by_region(head_model(), truth, mesh, 30_000).items():
+        assert scores.chamfer_l1 < 1.1 * scores.sampling_floor, region
+        assert scores.f_scores[5.0] > 0.999, region
+
+
+def test_a_scan_of_one_side_is_near_the_surface_and_has_no_other() -> None:
+    truth = _true_head()
+    scan = seen_from(truth, 30.0, np.random.default_rng(2))
+    assert scan.shape == (2500, 3)
+    off = SurfaceTree(truth.vertices, truth.faces[truth.is_outer()]).nearest(scan)[1]
+    assert 5e-5 < off.mean() < 4e-4
+    toward = scan @ [np.sin(np.radians(30)), 0.0, np.cos(np.radians(30))]
+    height = np.floor(scan[:, 1] / 0.02)
+    for row in np.unique(
+        height
+    ):  # nothing of the back: its points would lie 10 cm behind those of the front
+        own = toward[height == row]
+        assert own.max() - own.min() < 0.16
 
 
 def test_a_head_of_other_expressions_is_refused(

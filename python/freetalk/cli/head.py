@@ -134,6 +134,17 @@ def add_score(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", required=True, metavar="DIR", help="a corpus with expressions")
     parser.add_argument("--identities", type=natural, default=8, help="held-out ones, at most 32")
     parser.add_argument("--expressions", type=natural, default=2, help="of each")
+    parser.add_argument(
+        "--points",
+        type=natural,
+        default=50_000,
+        help="sampled on each surface; NPHM's scores: 250000",
+    )
+    parser.add_argument(
+        "--one-view",
+        action="store_true",
+        help="also fit the head to 2500 noisy points of one side of each",
+    )
 
 
 def import_nphm(arguments: argparse.Namespace) -> None:
@@ -225,6 +236,8 @@ def score(arguments: argparse.Namespace) -> None:
         open_dataset(arguments.data),
         identities=arguments.identities,
         expressions=arguments.expressions,
+        num_points=arguments.points,
+        one_view=arguments.one_view,
     )
     print(table(found))
 

@@ -16,6 +16,7 @@ import numpy.typing as npt
 import freetalk
 from freetalk import metrics
 from freetalk._files import write_json, write_text
+from freetalk._pretrained import find_weights
 from freetalk.corpus.linear_face import built_in_face
 from freetalk.data import Dataset, MotionSequence, lip_opening, open_dataset
 from freetalk.data.landmark_transfer import propose_landmarks
@@ -42,6 +43,7 @@ SIZES = {"tiny": (1, 12), "small": (12, 150), "full": (100, 300)}
 #: The meshing whose count of vertices is nearest to this is shown.
 _VERTICES = 8000
 _SOURCES = ("running", "facegood", "synthetic", "emodb")
+_MOTIONS = {"facetalk": "FaceTalk", "ats": "ATS"}
 _LABELS = {
     "fid": "FID",
     "kid": "KID",
@@ -101,20 +103,22 @@ class SystemsTask:
         """A face that does not move."""
         return np.zeros((clip.num_frames, *self.mesh.vertices.shape), np.float32)
 
-    def talker(self, talker: freetalk.Talker, motion: str) -> System:
-        """The mesh moved by a talker, by ``ats`` or ``facetalk``."""
-        face = talker.prepare(
-            freetalk.Mesh(self.mesh.vertices, self.mesh.faces.tolist()), progress=False
-        )
+    def talker(self, talker: freetalk.Talker, engine: str) -> Mapping[str, System]:
+        """The mesh moved by a talker's engine, ``stm`` or ``head``: by ``facetalk`` and by ``ats``."""
+        mesh = freetalk.Mesh(self.mesh.vertices, self.mesh.faces.tolist())
+        face = talker.prepare(mesh, engine=engine, progress=False)
 
-        def speak(clip: MotionSequence) -> FloatArray:
-            audio = freetalk.Audio(self.corpus.audio(clip), 16000)
-            animation = face.animate(
-                audio, motion=motion, blinks=False, fps=clip.fps, progress=False
-            )
-            return np.asarray(animation.displacements)
+        def speaks(motion: str) -> System:
+            def speak(clip: MotionSequence) -> FloatArray:
+                audio = freetalk.Audio(self.corpus.audio(clip), 16000)
+                animation = face.animate(
+                    audio, motion=motion, blinks=False, fps=clip.fps, progress=False
+                )
+                return np.asarray(animation.displacements)
 
-        return speak
+            return speak
+
+        return {motion: speaks(motion) for motion in ("facetalk", "ats")}
 
     def predicted(self, folder: Path) -> System:
         """Another system's motion on this face, ``CLIP.npy`` (T, V, 3) m."""
@@ -187,11 +191,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     net = None if given.syncnet is None else SyncNet.from_file(given.syncnet)
     scores = dict(clip_score(spec) for spec in given.score)
     task = SystemsTask(open_dataset(given.data), clips, frames, features, net, scores)
-    talker = freetalk.Talker.from_pretrained(given.pretrained)
-    systems: dict[str, System] = {
-        "FaceTalk, STM": task.talker(talker, "facetalk"),
-        "ATS, STM": task.talker(talker, "ats"),
-    }
+    weights = find_weights(given.pretrained)
+    talker = freetalk.Talker.from_pretrained(weights)
+    systems: dict[str, System] = {}
+    for engine, label in (("stm", "STM"), ("head", "parametric head")):
+        if engine == "head" and not (weights / "head").is_dir():
+            continue
+        for motion, system in task.talker(talker, engine).items():
+            systems[f"{_MOTIONS[motion]}, {label}"] = system
     for spec in given.pred:
         name, _, folder = spec.partition("=")
         systems[name] = task.predicted(Path(folder))
