@@ -98,7 +98,7 @@ def draw_landmarks(corpus: Dataset, pretrained: Path, weights: Path, out: Path) 
         dots.append(cell)
     labels = ["truth", "landmarks", "spoken\nby them"]
     path = out / "facetalk_landmarks.png"
-    return viz.contact_sheet([rows[0], dots, rows[1]], labels, path, range(len(moments)))
+    return viz.contact_sheet([rows[0], dots, rows[1]], labels, path, moments / own.fps)
 
 
 def main() -> None:
