@@ -7,7 +7,6 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -18,20 +17,18 @@ from freetalk.data.emotions import EMOTIONS
 from freetalk.data.errors import DatasetError
 from freetalk.data.pack import FULL_SCALE, SAMPLE_RATE_HZ, FloatArray, Meshing, Pack
 from freetalk.data.pose import Pose
-from freetalk.data.sequences import FaceMesh, MotionSequence, read_frames, sequences_of
+from freetalk.data.sequences import (
+    FaceEntry,
+    FaceMesh,
+    MotionSequence,
+    faces_of,
+    read_frames,
+    sequences_of,
+)
 from freetalk.data.splits import SPLITS
 
 #: The neutral face that factors of no joint ask for.
 _NOWHERE = np.zeros((1, 3), np.float32)
-
-
-@dataclass(frozen=True)
-class _Face:
-    """A face or a meshing: its dataset, index or name there, and the splits that it belongs to."""
-
-    dataset: str
-    own: int | str
-    splits: frozenset[str]
 
 
 class Dataset:
@@ -73,9 +70,7 @@ class Dataset:
             chosen = split or schemes[0]
             self._facts["split"] = {"name": chosen, "source": manifest["splits"][chosen]}
             self._sequences = sequences_of(pack, self.name, schemes.index(chosen))
-        self._faces: list[_Face] = []
-        self._meshings: dict[str, _Face] = {}
-        self._add_faces(pack)
+        self._faces, self._meshings = faces_of(pack, self.name, self._sequences)
 
     @property
     def fps(self) -> float:
@@ -109,6 +104,12 @@ class Dataset:
             for s in self._sequences
             if (split is None or s.split == split) and (sources is None or s.source in sources)
         ]
+
+    def scans(
+        self, sequence: MotionSequence, start: int = 0, stop: int | None = None
+    ) -> FloatArray:
+        """Points (T, P, 3) of the surfaces of frames [start, stop) that are scans, m; (T, 0, 3) of others."""
+        return read_frames(self.packs[sequence.dataset], "scans", sequence, start, stop)
 
     def landmarks(
         self, sequence: MotionSequence, start: int = 0, stop: int | None = None
@@ -239,6 +240,8 @@ class Dataset:
                     (people[(turn + column) % len(people)], topology)
                     for turn in range(len(people))
                     for column, topology in enumerate(meshings)
+                    if self._meshings[topology].identity
+                    in (None, self._faces[people[(turn + column) % len(people)]].own)
                 ]
             )
         longest = max((len(pairs) for pairs in lists), default=0)
@@ -374,20 +377,7 @@ class Dataset:
             t: dataclasses.replace(m, dataset=name) for t, m in self._meshings.items()
         }
 
-    def _add_faces(self, pack: Pack) -> None:
-        """Faces and meshings, in the splits that they name, or those of the sequences recorded on them."""
-        shown: dict[int, set[str]] = {}
-        for s in self._sequences:
-            shown.setdefault(s.identity, set()).add(s.split)
-        for index, entry in enumerate(pack.manifest["identities"]):
-            own = [entry["split"]] if pack.moves_all else shown.get(index, ())
-            self._faces.append(_Face(self.name, index, frozenset(own)))
-        everywhere = frozenset(s.split for s in self._sequences)
-        for entry in pack.manifest["topologies"]:
-            splits = frozenset([entry["split"]]) if pack.moves_all else everywhere
-            self._meshings[entry["name"]] = _Face(self.name, entry["name"], splits)
-
-    def _meshing(self, topology: str) -> _Face:
+    def _meshing(self, topology: str) -> FaceEntry:
         if topology not in self._meshings:
             known = ", ".join(self._meshings) or "none"
             raise ValueError(f"no topology {topology!r} in {self.name}; known: {known}")

@@ -6,7 +6,6 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,10 +23,11 @@ from freetalk.data.errors import (
 )
 from freetalk.data.index_files import Landmarks
 from freetalk.data.pack import FULL_SCALE, SAMPLE_RATE_HZ, FloatArray, Meshing
-from freetalk.data.pack_writer import PackWriter
+from freetalk.data.pack_writer import PackedTake, PackWriter
 from freetalk.data.pose import Pose, find_pose
 from freetalk.data.releases import Release, Take, open_release
 from freetalk.data.resampling import resample_frames
+from freetalk.data.scans import sampled_scans, scan_arrays
 from freetalk.data.splits import SplitScheme, schemes_of
 
 #: Motion that outlasts its sound by less is cut (recorders stop a little apart); more is an error.
@@ -38,26 +38,6 @@ _PROBED = 32
 
 Array = npt.NDArray[Any]
 Progress = Callable[[Iterable[Take]], Iterable[Take]]
-
-
-@dataclass(frozen=True)
-class PackedTake:
-    """What is written of a take.
-
-    Attributes:
-        landmarks: (T, 68, 3) displacements, m.
-        motion: (T, V, 3) displacements, m, or (T, E) factors; ``None`` where the landmarks are all.
-        samples: (S,) int16 at 16 kHz.
-    """
-
-    landmarks: FloatArray
-    motion: FloatArray | None
-    samples: npt.NDArray[np.int16]
-
-    @property
-    def largest_mm(self) -> float:
-        """How far a landmark moves at most."""
-        return round(1000 * float(np.linalg.norm(self.landmarks, axis=-1).max()), 2)
 
 
 def import_dataset(
@@ -105,15 +85,17 @@ def import_dataset(
             try:
                 packed = source_of.read(take)
                 entry = {**source_of.entry(take), "largest_mm": packed.largest_mm}
-                writer.add(entry, packed.landmarks, packed.motion, packed.samples)
+                writer.add(
+                    entry, packed.landmarks, packed.motion, packed.samples, scans=packed.scans
+                )
             except DatasetError as error:
                 writer.exclude(take.id, str(error))
         if not writer.sequences:
             raise LayoutError(f"{release.directory} has no usable take: {_first(writer.excluded)}")
         manifest = {"name": called, **source_of.manifest()}
-        return writer.finish(
-            manifest, np.eye(len(source_of.speakers), dtype=np.float32), source_of.topologies()
-        )
+        own = 0 if release.scans else len(source_of.speakers)  # a scan has no basis of faces
+        coefficients = np.eye(len(source_of.speakers), own, dtype=np.float32)
+        return writer.finish(manifest, coefficients, source_of.topologies())
 
 
 class Source:
@@ -151,6 +133,11 @@ class Source:
             self.step = 1
         self.fps = fps or self.file_fps / self.step
         self.schemes = self._schemes()
+        self._scanned = {
+            name: scan_arrays(name, release.scans[name], marks, self.pose, origin)
+            for name, marks, origin in zip(self.speakers, self.neutrals, self._origins, strict=True)
+            if release.scans
+        }
 
     @cached_property
     def fingerprint(self) -> str:
@@ -163,7 +150,7 @@ class Source:
                 digest.update(array.tobytes())
         for take in self.release.takes:
             digest.update(json.dumps({**self.entry(take), "split": take.split}).encode())
-            for path in take.paths:
+            for path in (*take.paths, *take.scans):
                 state = path.stat() if path.is_file() else None
                 size = "" if state is None else f"{state.st_size} {state.st_mtime_ns}"
                 digest.update(f" {size}\n".encode())
@@ -198,7 +185,8 @@ class Source:
         heard = None if take.sound is None else max(1, int(seconds * self.fps + 0.5))
         landmarks, motion = self._packed(values, self._index[take.speaker], heard)
         samples = np.round(sound * FULL_SCALE).clip(-FULL_SCALE, FULL_SCALE - 1).astype(np.int16)
-        return PackedTake(landmarks, motion, samples)
+        scans = self._points(take, len(values))[: len(landmarks)] if take.scans else None
+        return PackedTake(landmarks, motion, samples, scans)
 
     def entry(self, take: Take) -> dict[str, Any]:
         """What the manifest says of a take, beside where it lies."""
@@ -216,7 +204,6 @@ class Source:
 
     def manifest(self) -> dict[str, Any]:
         """What the manifest says of the whole."""
-        template = self.release.template
         return {
             "fps": self.fps,
             "expressions": [],
@@ -231,20 +218,18 @@ class Source:
                 {
                     "name": name,
                     "file": f"topologies/{name}.npz",
-                    "num_vertices": template.num_vertices,
-                    "num_faces": len(template.faces),
+                    "num_vertices": len(arrays["neutral"]),
+                    "num_faces": len(arrays["faces"]),
+                    **({"identity": self._index[name]} if self._scanned else {}),
                 }
-                for name in self.topologies()
+                for name, arrays in self.topologies().items()
             ],
         }
 
     def topologies(self) -> dict[str, dict[str, Array]]:
-        """Arrays of the one meshing; none where the landmarks are all."""
-        return (
-            {}
-            if len(self.release.template.faces) == 0
-            else {self.release.template.name: self._arrays}
-        )
+        """Arrays of the one meshing, or of each speaker's scan; none where the landmarks are all."""
+        sparse = len(self.release.template.faces) == 0
+        return self._scanned if sparse else {self.release.template.name: self._arrays}
 
     @cached_property
     def _arrays(self) -> dict[str, Array]:
@@ -282,6 +267,16 @@ class Source:
         return marks.of(
             corners.displacements(factors, corners.neutral(_one_hot(identity, self.speakers)))
         ), factors
+
+    def _points(self, take: Take, frames: int) -> Array:
+        """Points of a take's scans, (T, P, 3) m, at the result's rate."""
+        if not np.isclose(self.file_fps / self.step, self.fps):
+            raise LayoutError(
+                f"its scans are of {self.file_fps:g} frames a second, which cannot be made {self.fps:g}: leave out fps"
+            )
+        paths = take.scans[:: self.step]
+        origin = self._origins[self._index[take.speaker]]
+        return sampled_scans(paths, len(range(0, frames, self.step)), self.pose, origin)
 
     @cached_property
     def _corners(self) -> tuple[Meshing, Landmarks]:
@@ -367,6 +362,8 @@ class Source:
     def _fault_of(self, speaker: str) -> str:
         """What is wrong with the neutral face of a speaker; empty where nothing is."""
         points, template = self.release.neutral.get(speaker), self.release.template
+        if self.release.scans and speaker not in self.release.scans:
+            return f"there is no neutral scan of {speaker}; there are those of {', '.join(self.release.scans)}"
         if points is None:
             known = ", ".join(sorted(self.release.neutral)) or "none"
             return f"there is no neutral face of {speaker}; there are those of {known}"

@@ -6,7 +6,9 @@
 ``landmarks.npy``   (N, 68, 3) float32, displacements from neutral, m, of all frames
 ``motion.npy``      (N, V, 3) float16, vertex displacements, m; or (N, E) float32, factors: expression weights, or
                     FLAME's expression and the jaw's rotation matrix minus the identity; absent where only the
-                    landmarks are known
+                    landmarks are known, and where frames are scans
+``scans.npy``       (N, P, 3) float16, points of the surface of each frame, m; only where frames are meshes of their
+                    own each (:mod:`freetalk.data.scans`)
 ``codes.npy``       (N, Z) float32, expression codes of a parametric head; only where they were fitted
                     (:mod:`freetalk.data.codes`)
 ``audio.npy``       (S,) int16 at 16 kHz, 32768 is full scale
@@ -143,8 +145,9 @@ class Pack:
         )
         motion = self.directory / "motion.npy"
         self.motion = Rows(motion) if motion.is_file() else None
-        codes = self.directory / "codes.npy"
+        codes, scans = self.directory / "codes.npy", self.directory / "scans.npy"
         self.codes = Rows(codes) if codes.is_file() else None
+        self.scans = Rows(scans) if scans.is_file() else None
         self.identities = np.load(self.directory / "identities.npy")
         self._phones: dict[str, list[list[Any]]] | None = None
         # Bound per object, so that two packs never share a meshing of the same name.
@@ -170,8 +173,9 @@ class Pack:
         """What the manifest's ``sha256`` of a sequence has to be, from the arrays."""
         first, frames = entry["start_frame"], entry["num_frames"]
         arrays = [self.landmarks.read(first, first + frames)]
-        if self.motion is not None:
-            arrays.append(self.motion.read(first, first + frames))
+        for moved in (self.motion, self.scans):
+            if moved is not None:
+                arrays.append(moved.read(first, first + frames))
         arrays.append(
             self.audio.read(entry["first_sample"], entry["first_sample"] + entry["num_samples"])
         )
@@ -192,6 +196,7 @@ class Pack:
             (self.landmarks, frames),
             (self.motion, frames),
             (self.codes, frames),
+            (self.scans, frames),
             (self.audio, samples),
         ):
             if rows is not None and rows.shape[0] < wanted:

@@ -12,6 +12,7 @@ import json
 import os
 import shutil
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
@@ -29,6 +30,28 @@ _FORMATS = (FORMAT, "freetalk-open-corpus")
 #: Appended bytes after which the journal is brought up to date.
 _COMMIT_BYTES = 64 << 20
 _COMMIT_TAKES = 256
+
+
+@dataclass(frozen=True)
+class PackedTake:
+    """What is written of a take.
+
+    Attributes:
+        landmarks: (T, 68, 3) displacements, m.
+        motion: (T, V, 3) displacements, m, or (T, E) factors; ``None`` where the landmarks are all.
+        samples: (S,) int16 at 16 kHz.
+        scans: (T, P, 3) points of each frame's surface, m; ``None`` where frames are no scans.
+    """
+
+    landmarks: FloatArray
+    motion: FloatArray | None
+    samples: npt.NDArray[np.int16]
+    scans: Array | None = None
+
+    @property
+    def largest_mm(self) -> float:
+        """How far a landmark moves at most."""
+        return round(1000 * float(np.linalg.norm(self.landmarks, axis=-1).max()), 2)
 
 
 class PackWriter:
@@ -95,6 +118,7 @@ class PackWriter:
         motion: Array | None,
         samples: npt.NDArray[np.int16],
         *,
+        scans: Array | None = None,
         sound: str = "",
         phones: list[Any] | None = None,
     ) -> None:
@@ -105,6 +129,7 @@ class PackWriter:
             landmarks: (T, 68, 3) displacements, m.
             motion: (T, V, 3) displacements, m, or (T, E) factors.
             samples: (S,) at 16 kHz; empty where there is no sound, or where `sound` was given before.
+            scans: (T, P, 3) points of each frame's surface, m; where frames are scans.
             sound: takes of the same name share the first one's samples.
             phones: (start in s, end in s, label).
 
@@ -114,6 +139,8 @@ class PackWriter:
         arrays: dict[str, Array] = {"landmarks": np.asarray(landmarks, np.float32)}
         if motion is not None:
             arrays["motion"] = np.asarray(motion, np.float16 if motion.ndim == 3 else np.float32)
+        if scans is not None:
+            arrays["scans"] = np.asarray(scans, np.float16)
         for array in arrays.values():
             finite = np.isfinite(array).reshape(len(array), -1).all(axis=1)
             if not finite.all():
@@ -133,7 +160,7 @@ class PackWriter:
             "first_sample": first,
             "num_samples": count,
             "sha256": digest_of(
-                [*(arrays[n] for n in ("landmarks", "motion") if n in arrays), heard]
+                [*(arrays[n] for n in ("landmarks", "motion", "scans") if n in arrays), heard]
             ),
         }
         for name, array in arrays.items():

@@ -14,7 +14,7 @@
               vertices in pairs of ``vertices/ACTOR_EMOTION_level_N_NNN.npy`` and ``wav``
 ``folder``    one's own: ``motion/NAME.npy`` (vertices, or the 68 landmarks), ``wav``, ``templates``,
               ``labels.csv`` (name and any of speaker, emotion, intensity, text, split), ``dataset.json``
-              (``fps``, ``unit``, ``name``)
+              (``fps``, ``unit``, ``name``); landmarks may come with ``scans``, see :mod:`freetalk.data.scans`
 ============  =============================================================================================
 
 Motion is (T, V, 3) or (T, 3 V) floating numbers. Neutral faces are ``templates.pkl`` or a mesh a speaker in
@@ -52,6 +52,7 @@ from freetalk.data.release_files import (
     sparse_template,
 )
 from freetalk.data.safe_pickle import load_pickle
+from freetalk.data.scans import Mesh, neutral_scans, scan_files
 from freetalk.data.splits import SPLITS
 from freetalk.data.templates import Template, find_template, speaker_of
 
@@ -101,6 +102,7 @@ class Take:
         intensity: 1 to 3.
         text: transcript.
         split: split that the data itself names.
+        scans: the mesh of each frame, where they are of different meshings.
     """
 
     id: str
@@ -114,6 +116,7 @@ class Take:
     intensity: float = 1.0
     text: str | None = None
     split: str | None = None
+    scans: tuple[Path, ...] = ()
 
 
 @dataclass
@@ -132,6 +135,7 @@ class Release:
         flame: the model, where motion is its parameters.
         excluded: what is no usable take, and why.
         notes: what results say of the source.
+        scans: neutral scan of each speaker, where frames are scans.
     """
 
     kind: str
@@ -145,6 +149,7 @@ class Release:
     flame: Flame | None = None
     excluded: dict[str, str] = field(default_factory=dict)
     notes: dict[str, Any] = field(default_factory=dict)
+    scans: dict[str, Mesh] = field(default_factory=dict)
 
 
 def kind_of(directory: Path) -> str:
@@ -295,6 +300,7 @@ def _folder(directory: Path) -> Release:
     release = Release(
         "folder", directory, [], neutral, template, rates, str(settings.get("unit", "auto")),
         str(settings.get("name", "")), notes={"layout": "folder"},
+        scans=neutral_scans(directory / "scans") if sparse else {},
     )  # fmt: skip
 
     def parse(stem: str) -> dict[str, Any]:
@@ -308,6 +314,7 @@ def _folder(directory: Path) -> Release:
             "intensity": intensity_of(row.get("intensity") or 1, where),
             "text": row.get("text") or None,
             "split": split,
+            "scans": scan_files(directory / "scans" / stem) if release.scans else (),
         }
 
     _add_pairs(release, template.num_vertices, parse, heard)

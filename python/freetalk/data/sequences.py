@@ -131,6 +131,42 @@ class FaceMesh:
     landmarks: npt.NDArray[np.int64] | None = None
 
 
+@dataclass(frozen=True)
+class FaceEntry:
+    """A face or a meshing of a dataset.
+
+    Attributes:
+        dataset: its name.
+        own: index or name of the face or meshing there.
+        splits: that it belongs to.
+        identity: index of the only face that a meshing has, where it is a scan.
+    """
+
+    dataset: str
+    own: int | str
+    splits: frozenset[str]
+    identity: int | None = None
+
+
+def faces_of(
+    pack: Pack, name: str, sequences: list[MotionSequence]
+) -> tuple[list[FaceEntry], dict[str, FaceEntry]]:
+    """Faces and meshings, in the splits that they name, or those of the sequences recorded on them."""
+    shown: dict[int, set[str]] = {}
+    for s in sequences:
+        shown.setdefault(s.identity, set()).add(s.split)
+    faces = []
+    for index, entry in enumerate(pack.manifest["identities"]):
+        own = [entry["split"]] if pack.moves_all else shown.get(index, ())
+        faces.append(FaceEntry(name, index, frozenset(own)))
+    everywhere = frozenset(s.split for s in sequences)
+    meshings = {}
+    for entry in pack.manifest["topologies"]:
+        splits = frozenset([entry["split"]]) if pack.moves_all else everywhere
+        meshings[entry["name"]] = FaceEntry(name, entry["name"], splits, entry.get("identity"))
+    return faces, meshings
+
+
 def sequences_of(pack: Pack, name: str, scheme: int) -> list[MotionSequence]:
     """The sequences of a packed folder that a split scheme uses.
 
@@ -144,6 +180,7 @@ def sequences_of(pack: Pack, name: str, scheme: int) -> list[MotionSequence]:
     """
     topologies = pack.manifest["topologies"]
     own = None if pack.moves_all or not topologies else str(topologies[0]["name"])
+    scanned = {entry["identity"]: str(entry["name"]) for entry in topologies if "identity" in entry}
     found = []
     for entry in pack.manifest["sequences"]:
         split = entry["split"][scheme]
@@ -171,7 +208,7 @@ def sequences_of(pack: Pack, name: str, scheme: int) -> list[MotionSequence]:
                 voice=entry["voice"],
                 text=entry["text"],
                 fps=pack.fps,
-                topology=own,
+                topology=scanned.get(entry["identity"], own),
                 dataset=name,
                 name=entry["id"],
             )
@@ -182,11 +219,13 @@ def sequences_of(pack: Pack, name: str, scheme: int) -> list[MotionSequence]:
 def read_frames(
     pack: Pack, name: str, sequence: MotionSequence, start: int, stop: int | None
 ) -> FloatArray:
-    """Frames [start, stop) of ``landmarks``, ``motion`` or ``codes``, at the sequence's rate."""
+    """Frames [start, stop) of ``landmarks``, ``motion``, ``scans`` or ``codes``, at the sequence's rate."""
     stop = sequence.num_frames if stop is None else min(stop, sequence.num_frames)
     start, stop = start + sequence.offset, stop + sequence.offset
     first = sequence.start_frame
     if sequence.fps != pack.fps:
+        if name == "scans" and pack.scans is not None:
+            raise ValueError(f"scans are of {pack.fps:g} frames a second, not {sequence.fps:g}")
         last = first + sequence.stored_frames
         return _resampled(pack, name, first, last, sequence.fps)[start:stop].copy()
     return _stored(pack, name, first + start, first + stop)
@@ -199,9 +238,11 @@ def _resampled(pack: Pack, name: str, first: int, stop: int, fps: float) -> Floa
 
 
 def _stored(pack: Pack, name: str, first: int, stop: int) -> FloatArray:
-    stored = {"landmarks": pack.landmarks, "motion": pack.motion, "codes": pack.codes}
+    stored = {k: getattr(pack, k) for k in ("landmarks", "motion", "codes", "scans")}
     rows = stored[name]
+    if rows is None and name == "scans":
+        return np.zeros((stop - first, 0, 3), np.float32)
     if rows is None:
-        lacking = "vertices" if name == "motion" else name
+        lacking = "corresponding vertices" if name == "motion" else name
         raise ValueError(f"{pack.directory} has no {lacking} of its frames")
     return np.asarray(rows.read(first, stop), np.float32)

@@ -46,7 +46,7 @@ KNOWN_LANDMARKS: dict[str, str] = {
     "1e40b8108b41c29b": "FLAME, full_lmk of DECA's landmark_embedding.npy",
 }
 
-_MESH_SUFFIXES = (".obj", ".ply", ".off", ".stl")
+MESH_SUFFIXES = (".obj", ".ply", ".off", ".stl")
 _FOLDERS = ("", "template", "templates", "flame_model", "regions")
 _LANDMARK_NAMES = ("landmarks68", "landmarks", "landmark_embedding", "flame_static_embedding")
 _LIP_NAMES = ("lip_mask", "lips", "mouth_indices", "FLAME_lips_idx", "lve")
@@ -163,7 +163,7 @@ def read_faces(path: Path) -> tuple[dict[str, FloatArray], dict[str, npt.NDArray
     else:
         files = {p.stem: p for p in sorted(path.iterdir())} if path.is_dir() else {"": path}
         for name, file in files.items():
-            if file.suffix.lower() in _MESH_SUFFIXES:
+            if file.suffix.lower() in MESH_SUFFIXES:
                 held[name], faces[name] = read_mesh(file)
             elif file.suffix.lower() == ".npy" and file.is_file():
                 held[name] = np.load(file, allow_pickle=False)

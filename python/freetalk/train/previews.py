@@ -32,7 +32,7 @@ class Sample:
         vertices: (V, 3) neutral face in the canonical frame, m.
         faces: (F, 3) triangles.
         predicted: (T, V, 3) displacements, m.
-        true: (T, V, 3) displacements, m.
+        true: (T, V, 3) displacements, m; ``None`` where no vertex's motion is known.
         fps: frames per second.
         audio: (S,) sound in [-1, 1]; empty where there is none.
         sample_rate_hz: of the sound.
@@ -41,7 +41,7 @@ class Sample:
     vertices: FloatArray
     faces: npt.NDArray[np.int64]
     predicted: FloatArray
-    true: FloatArray
+    true: FloatArray | None
     fps: float
     audio: FloatArray = field(default_factory=lambda: np.zeros(0, np.float32))
     sample_rate_hz: int = 16000
@@ -104,7 +104,7 @@ def sample_of(
 
 
 def save_sample(sample: Sample, path: Path) -> Picture:
-    """Writes ``path.mp4``, predicted motion on the left and true on the right.
+    """Writes ``path.mp4``, predicted motion on the left and true, where it is known, on the right.
 
     Args:
         sample: what to show.
@@ -122,6 +122,8 @@ def save_sample(sample: Sample, path: Path) -> Picture:
     view = View(occlusion=False)
     sides: list[list[Picture]] = []
     for motion in (sample.predicted, sample.true):
+        if motion is None:
+            continue
         sequence = Sequence(sample.vertices, sample.faces, motion, sample.fps, located=True)
         with FaceRenderer(sequence, (_SIDE, _SIDE), view) as renderer:
             sides.append([renderer.image(sequence.frame(k)) for k in range(len(motion))])
@@ -129,7 +131,7 @@ def save_sample(sample: Sample, path: Path) -> Picture:
     write_video(
         path.with_suffix(".mp4"),
         frames,
-        (2 * _SIDE, _SIDE),
+        (len(sides) * _SIDE, _SIDE),
         Fraction(sample.fps).limit_denominator(1001),
         len(frames),
         sample.audio,

@@ -28,8 +28,9 @@ from freetalk.train.stm_meshes import (
     prepare_mesh,
     random_placement,
 )
+from freetalk.train.stm_scans import chamfer_loss, scan_errors
 from freetalk.train.stm_sculpts import Sculpts
-from freetalk.train.stm_windows import FaceWindows
+from freetalk.train.stm_windows import FaceWindows, Window
 from freetalk.train.task_options import StmTaskOptions
 
 _VALIDATION_SEED = 40
@@ -97,6 +98,7 @@ class StmTask:
             "scale": placement.scale,
             "landmarks": torch.from_numpy((window.landmarks + noise).astype(np.float32)),
             "target": torch.from_numpy(window.target),
+            "scan": torch.from_numpy(window.scan),
         }
 
     def collate(self, items: list[dict[str, Any]]) -> dict[str, Any]:
@@ -110,10 +112,9 @@ class StmTask:
             mesh = self.meshes[item["mesh"]]
             placement = Placement(item["rotation"], item["translation"], item["scale"])
             prediction, plain = self._predict(mesh, item["landmarks"], placement)
-            target = placement.turned(item["target"])
-            terms = self._terms(mesh, prediction, target)
+            terms = self._terms(mesh, prediction, item, placement)
             if plain is not prediction and self.options.plain_weight > 0:
-                terms["plain"] = self._terms(mesh, plain, target)["loss"]
+                terms["plain"] = self._terms(mesh, plain, item, placement)["loss"]
                 terms["loss"] = terms["loss"] + self.options.plain_weight * terms["plain"]
             for name, value in terms.items():
                 totals[name] = totals.get(name, torch.zeros((), device=self.device)) + value
@@ -130,6 +131,9 @@ class StmTask:
             window = self.held_out.draw_on(number // per_mesh, rng)
             landmarks = torch.from_numpy(window.landmarks).to(self.device)
             prediction, _ = self._predict(mesh, landmarks, still)
+            if window.scan.shape[1] > 0:
+                records.append((number, self._scan_record(mesh, prediction, window)))
+                continue
             target = torch.from_numpy(window.target).to(self.device)
             lips = mesh.lip_mask.nonzero()[:, 0]
             sums = [(prediction - target).norm(dim=-1), target.norm(dim=-1)]
@@ -138,18 +142,26 @@ class StmTask:
             records.append((number, [*(float(one.mean()) for one in sums), *on_lips, *errors]))
         return records
 
+    def _scan_record(self, mesh: PreparedMesh, prediction: Tensor, window: Window) -> list[float]:
+        """As of a registered window, by distances of scans to the surface; no vertex has an error."""
+        assert mesh.landmarks is not None
+        marks = mesh.positions[mesh.landmarks].cpu() + torch.from_numpy(window.landmarks)
+        moved, scans = mesh.positions + prediction, torch.from_numpy(window.scan)
+        distances = scan_errors(moved, mesh.positions, mesh.faces, scans, marks)
+        return [*distances, math.nan, math.nan]
+
     def scores(self, records: list[Any]) -> dict[str, float]:
-        """Mean vertex error relative to the zero motion's, of the face and of the lips; LVE and MVE."""
+        """Mean error (of vertices, or distance of scans) relative to the zero motion's, of face and lips; LVE and MVE."""
         values = np.array(records)
         error, motion, lip_error, lip_motion = values[:, :4].sum(axis=0)
         relative = float(error / max(motion, 1e-12))
         relative_lips = float(lip_error / max(lip_motion, 1e-12))
-        known = values[np.isfinite(values[:, 4]), 4]
+        known, moved = (column[np.isfinite(column)] for column in values[:, 4:6].T)
         return {
             "relative_error": relative,
             "relative_lip_error": relative_lips,
             "lve_mm2": float(known.mean()) if len(known) else math.nan,
-            "mve_mm": float(values[:, 5].mean()),
+            "mve_mm": float(moved.mean()) if len(moved) else math.nan,
             "score": 0.5 * (relative + relative_lips),
         }
 
@@ -180,7 +192,9 @@ class StmTask:
             vertices=face.vertices,
             faces=face.faces,
             predicted=torch.cat(parts).cpu().numpy(),
-            true=self.corpus.vertex_displacements(mesh.face.topology, sequence, 0, frames),
+            true=None
+            if self.corpus.scans(sequence, 0, 1).shape[1] > 0
+            else self.corpus.vertex_displacements(mesh.face.topology, sequence, 0, frames),
             fps=sequence.fps,
             audio=audio[: round(frames / sequence.fps * rate)],
             sample_rate_hz=rate,
@@ -202,9 +216,19 @@ class StmTask:
         with torch.autocast(plain.device.type, enabled=False):
             return mesh.follower.apply(plain, moving), plain
 
-    def _terms(self, mesh: PreparedMesh, prediction: Tensor, target: Tensor) -> dict[str, Tensor]:
+    def _terms(
+        self,
+        mesh: PreparedMesh,
+        prediction: Tensor,
+        item: dict[str, Any],
+        placement: Placement,
+    ) -> dict[str, Tensor]:
+        """The loss of a prediction (T, V, 3), m, and what it consists of."""
+        if item["scan"].shape[1] > 0:
+            return self._scan_terms(mesh, prediction, item, placement)
         o = self.options
-        prediction, target = MILLIMETRES * prediction, MILLIMETRES * target
+        prediction = MILLIMETRES * prediction
+        target = MILLIMETRES * placement.turned(item["target"])
         weights = None
         if o.lip_weight != 1.0:
             weights = 1.0 + (o.lip_weight - 1.0) * mesh.lip_mask.float()
@@ -223,6 +247,30 @@ class StmTask:
             motion = target.norm(dim=-1).mean().clamp_min(_MOTION_FLOOR)
             terms["relative_error"] = norms.mean() / motion
             terms["loss"] = terms["loss"] + o.error_weight * terms["relative_error"]
+        return terms
+
+    def _scan_terms(
+        self,
+        mesh: PreparedMesh,
+        prediction: Tensor,
+        item: dict[str, Any],
+        placement: Placement,
+    ) -> dict[str, Tensor]:
+        """Likewise where frames are scans: landmarks by Eq. 15, and the distance of the surfaces."""
+        o = self.options
+        assert mesh.landmarks is not None  # the import sees to it
+        told = MILLIMETRES * placement.turned(item["landmarks"])
+        made = MILLIMETRES * prediction[:, mesh.landmarks]
+        terms = motion_loss(made, told, None, o.lambda_velocity, o.lambda_acceleration)
+        moved = MILLIMETRES * (placement.moved(mesh.positions) + prediction)
+        scans = MILLIMETRES * placement.moved(item["scan"])
+        terms["loss"] = o.landmark_weight * terms["loss"]
+        if o.chamfer_weight > 0:
+            terms["chamfer"] = chamfer_loss(moved, mesh.faces, scans)
+            terms["loss"] = terms["loss"] + o.chamfer_weight * terms["chamfer"]
+        if o.relative:
+            size = told.square().sum(dim=-1).mean().clamp_min(_RELATIVE_FLOOR)
+            terms["loss"] = terms["loss"] / size
         return terms
 
     def _prepare(

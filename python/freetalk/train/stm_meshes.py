@@ -56,14 +56,18 @@ class PreparedMesh:
         positions: (V, 3) float32, m.
         operators: of the vertices divided by the model's ``length_scale``, float32.
         lip_mask: (V,) bool.
+        faces: (F, 3) triangles.
         follower: of its landmarks; None where they are not asked for.
+        landmarks: (68,) vertices, where they are known and all are left.
     """
 
     face: Face
     positions: Tensor
     operators: SurfaceOperators
     lip_mask: Tensor
+    faces: npt.NDArray[np.int64]
     follower: LandmarkFollower | None = None
+    landmarks: Tensor | None = None
 
     @property
     def num_bytes(self) -> int:
@@ -213,6 +217,7 @@ def prepare_mesh(
             faces=faces,
             lip_mask=mesh.lip_mask[kept],
             upper_face_mask=mesh.upper_face_mask[kept],
+            landmarks=None,
         )
     if landmarks is not None:
         drawn = rng if cuts is not None else None
@@ -230,7 +235,9 @@ def prepare_mesh(
         positions=torch.from_numpy(mesh.vertices).to(device),
         operators=operators.to(dtype=torch.float32, device=str(device)),
         lip_mask=torch.from_numpy(mesh.lip_mask).to(device),
+        faces=mesh.faces,
         follower=follower,
+        landmarks=None if mesh.landmarks is None else torch.from_numpy(mesh.landmarks).to(device),
     )
 
 

@@ -25,12 +25,14 @@ class Window:
     Attributes:
         mesh: index of the face.
         landmarks: (T, 68, 3) displacements, m.
-        target: (T, V, 3) displacements of the face's vertices, m.
+        target: (T, V, 3) displacements of the face's vertices, m; none, (T, 0, 3), where frames are scans.
+        scan: (T, P, 3) points of each frame's surface, m; none where vertices are known.
     """
 
     mesh: int
     landmarks: FloatArray
     target: FloatArray
+    scan: FloatArray
 
 
 class FaceWindows:
@@ -116,8 +118,12 @@ class FaceWindows:
         face = self._faces[mesh]
         if self._is_sculpted(face, rng):
             return self._sculpture(mesh, self.corpus.weights(sequence, start, stop), rng)
+        landmarks = self.corpus.landmarks(sequence, start, stop)
+        scan = self.corpus.scans(sequence, start, stop)
+        if scan.shape[1] > 0:
+            return self._scanned(mesh, landmarks, scan)
         moved = self.corpus.vertex_displacements(face.topology, sequence, start, stop)
-        return self._window(mesh, self.corpus.landmarks(sequence, start, stop), moved)
+        return self._window(mesh, landmarks, moved)
 
     def _sampler_of(self, mesh: int) -> SequenceSampler:
         if mesh not in self._of_mesh:
@@ -164,7 +170,18 @@ class FaceWindows:
             whole = self.corpus.mesh(face.identity, face.topology)
             landmarks = face.bend.motion(face.bend.landmarks, landmarks)
             moved = face.bend.motion(whole.vertices, moved)
-        return Window(mesh, landmarks.astype(np.float32), _left(face, moved.astype(np.float32)))
+        none = np.zeros((len(landmarks), 0, 3), np.float32)
+        return Window(
+            mesh, landmarks.astype(np.float32), _left(face, moved.astype(np.float32)), none
+        )
+
+    def _scanned(self, mesh: int, landmarks: FloatArray, scan: FloatArray) -> Window:
+        """Landmarks' motion (T, 68, 3) and scans (T, P, 3) of a face, on what was made of the face."""
+        bend = self._faces[mesh].bend
+        if bend is not None:
+            landmarks = bend.motion(bend.landmarks, landmarks).astype(np.float32)
+            scan = bend(scan).astype(np.float32)
+        return Window(mesh, landmarks, np.zeros((len(landmarks), 0, 3), np.float32), scan)
 
 
 def _left(face: Face, displacements: FloatArray) -> FloatArray:

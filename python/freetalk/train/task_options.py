@@ -219,6 +219,10 @@ class StmTaskOptions:
         error_weight: weight of an extra term, the mean vertex error relative to the mean motion: it
             counts the many vertices that move little, which squares pass over; 0 disables (the
             paper).
+        landmark_weight: of sequences whose frames are scans (``freetalk.data.scans``): weight of Eq. 15 at the
+            landmarks. `lip_weight` and `error_weight` do not concern them, nor do `crops`.
+        chamfer_weight: of these: weight of the squared distances between scan and surface, both ways, which are small:
+            most of a face's motion is along it.
         validation_windows: windows on unseen meshes that are scored.
     """
 
@@ -243,12 +247,15 @@ class StmTaskOptions:
     lip_weight: float = 1.0
     relative: bool = False
     error_weight: float = 0.0
+    landmark_weight: float = 1.0
+    chamfer_weight: float = 10.0
     validation_windows: int = 8
 
     def check(self) -> None:
         """Raises ValueError where a value is out of range."""
         require(self.frames >= 3, "task.frames must be at least 3", self.frames)
         require_none_negative(self, "operator_memory_gb", "plain_weight")
+        require_none_negative(self, "landmark_weight", "chamfer_weight")
         require(0 <= self.scale_range < 1, "task.scale_range must be in [0, 1)", self.scale_range)
         require_shares(self, "crops", "bends", "sculpts")
         require(
