@@ -60,18 +60,6 @@ void bind_stm(py::module_& m) {
       .def_property_readonly(
           "lengths", &fs::LandmarkFollower::lengths,
           "(V, 1) m: detail of the network's motion that is finer is taken out.");
-  py::class_<fs::LandmarkCarrier>(m, "LandmarkCarrier",
-                                  "Carries the mean face's landmark motion to another face.")
-      .def(py::init<const Eigen::MatrixXd&, const Eigen::MatrixXi&, const fs::LandmarkFollower&,
-                    const Eigen::MatrixXd&, bool>(),
-           py::arg("vertices"), py::arg("faces"), py::kw_only(), py::arg("follower"),
-           py::arg("mean"), py::arg("known"), release)
-      .def("apply", &fs::LandmarkCarrier::apply, py::arg("landmarks"), release,
-           "(T, 68, 3) displacements of this face's landmarks, on the CPU.")
-      .def_property_readonly("lip_clearance", &fs::LandmarkCarrier::lip_clearance,
-                             "m at rest, of landmarks 61-67, 62-66 and 63-65.")
-      .def_property_readonly("lid_clearance", &fs::LandmarkCarrier::lid_clearance,
-                             "m at rest, of landmarks 37-41, 38-40, 43-47 and 44-46.");
   py::class_<fs::FrameDecoder>(m, "FrameDecoder", "STM's decoder for many frames of one mesh.")
       .def(py::init<std::shared_ptr<fs::StmImpl>, const fs::MeshFeatures&,
                     const freetalk::geometry::SurfaceOperators&, const fs::DecodeOptions&,
@@ -80,6 +68,18 @@ void bind_stm(py::module_& m) {
            py::arg("options") = fs::DecodeOptions{}, py::arg("follower") = nullptr, release)
       .def("decode", py::overload_cast<const at::Tensor&>(&fs::FrameDecoder::decode, py::const_),
            py::arg("landmarks"), release, "(T, V, 3) displacements in metres.");
+  py::class_<fs::LandmarkCarrier>(m, "LandmarkCarrier",
+                                  "Carries the mean face's landmark motion to another face.")
+      .def(py::init<const Eigen::MatrixXd&, const Eigen::MatrixXi&, const fs::LandmarkFollower&,
+                    const Eigen::MatrixXd&, bool, const fs::FrameDecoder*>(),
+           py::arg("vertices"), py::arg("faces"), py::kw_only(), py::arg("follower"),
+           py::arg("mean"), py::arg("known"), py::arg("decoder") = nullptr, release)
+      .def("apply", &fs::LandmarkCarrier::apply, py::arg("landmarks"), release,
+           "(T, 68, 3) displacements of this face's landmarks, on the CPU.")
+      .def_property_readonly("lip_clearance", &fs::LandmarkCarrier::lip_clearance,
+                             "m at rest, of landmarks 61-67, 62-66 and 63-65.")
+      .def_property_readonly("lid_clearance", &fs::LandmarkCarrier::lid_clearance,
+                             "m at rest, of landmarks 37-41, 38-40, 43-47 and 44-46.");
   freetalk::bindings::bind_options<fs::AdaptiveOptions>(m, "AdaptiveOptions",
                                                         "Tolerances of decode_adaptively.");
   py::class_<fs::AdaptiveReport>(m, "AdaptiveReport", "What decode_adaptively decoded.")

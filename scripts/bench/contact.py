@@ -7,7 +7,7 @@
 The shipped weights speak; of their landmark motion the closures (inner lips at most 0.3 mm farther apart than those of
 the mean face at rest) and the blinks (lids at most 7 % open) are decoded on each head: the mean face, six of its
 identities pushed to extremes, a drawn one, one of few vertices, and two of other topologies. In planes
-through the pairs of inner-lip and lid landmarks, and halfway between those of the lips, the surface of either side
+through the pairs of inner-lip and lid landmarks, and halfway between neighbours, the surface of either side
 within 5 mm of the landmark is sampled every 0.1 mm, and followed:
 
     gap     least distance of the two sides, mm
@@ -137,9 +137,7 @@ def side_of(vertices: Points, triangles: npt.NDArray[Any], landmark: Points, x: 
     return Side(np.array(corners, np.int64).reshape(-1, 3), np.concatenate(shares or [over[:0]]))
 
 
-def gaps_of(
-    head: Head, pairs: tuple[tuple[int, int], ...], between: bool
-) -> list[tuple[Side, Side]]:
+def gaps_of(head: Head, pairs: tuple[tuple[int, int], ...]) -> list[tuple[Side, Side]]:
     """The two sides in the plane of each pair, and halfway to the next."""
     vertices, faces, marks = head
     normals = np.zeros((68, 3))
@@ -150,9 +148,8 @@ def gaps_of(
     upper = weights[:, uppers].max(axis=1) > weights[:, lowers].max(axis=1)
     count = upper[faces].sum(axis=1)
     places = [(marks[a], marks[b]) for a, b in pairs]
-    if between:
-        middles = zip(places, places[1:])
-        places += [((a + c) / 2, (b + d) / 2) for (a, b), (c, d) in middles]
+    middles = zip(places, places[1:])  # between the eyes there are no two sides
+    places += [((a + c) / 2, (b + d) / 2) for (a, b), (c, d) in middles]
     found = []
     for top, bottom in places:
         x = float(top[0] + bottom[0]) / 2
@@ -200,17 +197,19 @@ def measure(
     follower = LandmarkFollower(
         vertices, faces, landmarks=marks, normals=outward, options=FollowOptions(noise=noise)
     )
-    carrier = LandmarkCarrier(vertices, faces, follower=follower, mean=mean[2], known=known)
     features = model.encode(torch.from_numpy(vertices).float(), operators)
     decoder = model.frame_decoder(features, operators, follower=follower)
+    carrier = LandmarkCarrier(
+        vertices, faces, follower=follower, mean=mean[2], known=known, decoder=decoder
+    )
 
-    def scores(pairs: Any, made: Points, between: bool) -> Points:
+    def scores(pairs: Any, made: Points) -> Points:
         landmarks = torch.from_numpy(made).float()
         moved = decoder.decode(landmarks if plain else carrier.apply(landmarks)).numpy()
-        sides = gaps_of(head, pairs, between)
+        sides = gaps_of(head, pairs)
         return np.array([[touch(vertices + frame, each) for each in sides] for frame in moved])
 
-    lips, lids = scores(LIPS, motion[0], True), scores(LIDS, motion[1], False)
+    lips, lids = scores(LIPS, motion[0]), scores(LIDS, motion[1])
     lip_gaps, lip_depths = lips.max(axis=1).T
     return {
         "lips_gap_95": float(np.quantile(lip_gaps, 0.95)),

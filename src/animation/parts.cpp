@@ -2,9 +2,11 @@
 
 #include <ATen/ATen.h>
 #include <cmath>
+#include <utility>
 
 #include "core/parallel.h"
 #include "core/smoothstep.h"
+#include "eyeballs.h"
 #include "freetalk/animation/jaw.h"
 #include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
@@ -18,6 +20,7 @@ constexpr int kNeighbours = 4;
 constexpr double kRootDistance = 0.004;                   // a root lies this close to the skin
 constexpr double kFarFromSkin = 0.06, kNearSkin = 0.015;  // m, between them following fades out
 constexpr double kFarFromRoot = 0.10, kNearRoot = 0.03;
+constexpr double kEyeball = 0.025;  // m from the middle of an eye's landmarks to that of its ball
 
 using Weights = std::vector<std::pair<int, double>>;
 
@@ -115,6 +118,7 @@ Parts::Parts(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
     for (int k = 0; k < 3; ++k) face_faces_(i, k) = compact[faces(kept[i], k)];
   }
 
+  std::vector<Eyeball> eyeballs;
   std::vector<Weights> rows(vertices.rows());
   for (int64_t v = 0; v < vertices.rows(); ++v) {
     if (compact[v] >= 0) rows[v] = {{compact[v], 1.0}};
@@ -124,6 +128,18 @@ Parts::Parts(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
     if (motions[c] == PartMotion::kSurface) bind_part(vertices, members[c], skin, rows);
   }
   binding_ = pack(rows);
+  for (const int first : {36, 42}) {
+    const Eigen::RowVector3d eye = landmarks.middleRows(first, 6).colwise().mean();
+    std::vector<bool> ball(vertices.rows());
+    for (int c = 0; c < welded.num_components; ++c) {
+      const Eigen::RowVector3d middle = vertices(members[c], Eigen::all).colwise().mean();
+      if (motions[c] != PartMotion::kStill || (middle - eye).norm() > kEyeball) continue;
+      for (const int v : members[c]) ball[v] = true;
+    }
+    const auto points = dense_points(vertices, faces, ball);
+    if (points.rows() > 0) eyeballs.emplace_back(points, face_vertices_);
+  }
+  eyeballs_ = std::make_shared<const std::vector<Eyeball>>(std::move(eyeballs));
 }
 
 at::Tensor Parts::move(const at::Tensor& face_displacements, const at::Tensor& landmarks) const {
@@ -135,13 +151,15 @@ at::Tensor Parts::move(const at::Tensor& face_displacements, const at::Tensor& l
   const int64_t frames = face_displacements.size(0);
   FREETALK_CHECK(landmarks.dim() == 3 && landmarks.size(0) == frames, "Parts: expected landmarks (",
                  frames, ", 68, 3), found ", landmarks.sizes());
-  const auto source = face_displacements.to(at::kCPU, at::kFloat).contiguous();
+  auto source = face_displacements.to(at::kCPU, at::kFloat).contiguous();
+  if (!eyeballs_->empty() && source.is_alias_of(face_displacements)) source = source.clone();
   const auto jaw = fit_jaw(landmarks_, landmarks);
   auto result = at::empty({frames, total, 3}, at::kFloat);
-  const float* from = source.data_ptr<float>();
+  float* from = source.data_ptr<float>();
   float* to = result.data_ptr<float>();
   core::parallel_for(0, frames, 1, [&](int64_t begin, int64_t end) {
     for (int64_t t = begin; t < end; ++t) {
+      for (const Eyeball& ball : *eyeballs_) ball.keep_out(from + 3 * t * skin);
       for (int64_t v = 0; v < total; ++v) {
         Eigen::Vector3f sum = Eigen::Vector3f::Zero();
         for (int64_t k = binding_.starts[v]; k < binding_.starts[v + 1]; ++k) {

@@ -33,9 +33,31 @@ constexpr double kUpperMost = 7.5e-4;   // m
 constexpr double kChinShare = 0.6;      // of what the lower lip closes beyond that
 constexpr double kShut = 0.08, kAjar = 0.3;  // e and where leading starts, of the eye's opening
 // What is left of a closed lid's way by a surface that follows its landmarks closely, not exactly.
-constexpr double kLidPress = 0.02;                    // of the eye's opening
+constexpr double kLidPress = 0.02;   // of the eye's opening, where it is not measured
+constexpr double kLidLeft = 1.2e-4;  // m: lids of a closed eye may be this far apart between the
+constexpr double kLidPast = 5.5e-4;  // landmarks; and pass each other by this at them
+constexpr double kLidMost = 1.5e-3;  // m that a lid goes beyond where its landmarks meet, or stops
+constexpr double kFacing = 0.5;      // of the landmarks' distance: rims that are nearer are none
+constexpr double kOpen = 1e-3;       // m: an eye whose rims are nearer is closed at rest
+constexpr int kLidRounds = 4;
 constexpr double kNarrowest = 0.75, kBroadest = 1.3;  // of the mean mouth's width
 constexpr int kChin = 6, kChinEnd = 11, kMouth = 48;
+
+/// A place on a surface.
+struct Spot {
+  int face = 0;
+  Eigen::RowVector3d at, shares;
+
+  /// Where the place is, m. @param moved (1, V, 3) displacements.
+  Eigen::RowVector3d displacement(const Eigen::MatrixXi& faces,
+                                  const at::TensorAccessor<float, 3>& moved) const {
+    Eigen::RowVector3d sum = Eigen::RowVector3d::Zero();
+    for (int k = 0; k < 3; ++k) {
+      for (int axis = 0; axis < 3; ++axis) sum[axis] += shares[k] * moved[0][faces(face, k)][axis];
+    }
+    return sum;
+  }
+};
 
 /// Two sides of a gap, cut by the plane through a pair of landmarks.
 class Cut {
@@ -52,11 +74,16 @@ class Cut {
         left += corner(k)[0] < x_;
       }
       if (left == 0 || left == 3) continue;
-      std::array<Eigen::RowVector3d, 2> ends;
+      std::array<Spot, 2> ends;
       size_t found = 0;
       for (int k = 0; k < 3; ++k) {
         const Eigen::RowVector3d a = corner(k), b = corner((k + 1) % 3);
-        if ((a[0] < x_) != (b[0] < x_)) ends[found++] = a + (x_ - a[0]) / (b[0] - a[0]) * (b - a);
+        if ((a[0] < x_) == (b[0] < x_)) continue;
+        const double share = (x_ - a[0]) / (b[0] - a[0]);
+        Spot& end = ends[found++];
+        end = {static_cast<int>(f), a + share * (b - a), Eigen::RowVector3d::Zero()};
+        end.shares[k] = 1 - share;
+        end.shares[(k + 1) % 3] = share;
       }
       sample(ends[0], ends[1], uppers);
     }
@@ -69,30 +96,45 @@ class Cut {
       const double apart = (centre_[0] - centre_[1]).norm();
       return apart > kFilled ? apart : 0.0;
     }
+    const auto found = nearest();
+    if (!found) return std::nullopt;
+    return ((*found)[0].at - (*found)[1].at).norm();
+  }
+
+  /// Where the sides come nearest to each other; nothing where one is missing.
+  std::optional<std::array<Spot, 2>> nearest() const {
     if (sides_[0].empty() || sides_[1].empty()) return std::nullopt;
     double least = std::numeric_limits<double>::infinity();
+    std::array<Spot, 2> result{sides_[0].front(), sides_[1].front()};
     for (const auto& a : sides_[0]) {
-      for (const auto& b : sides_[1]) least = std::min(least, (a - b).squaredNorm());
+      for (const auto& b : sides_[1]) {
+        const double distance = (a.at - b.at).squaredNorm();
+        if (distance >= least) continue;
+        least = distance;
+        result = {a, b};
+      }
     }
-    return std::sqrt(least);
+    return result;
   }
 
  private:
   /// Keeps what of a segment is near the landmark of its side. @param uppers of its three corners.
-  void sample(const Eigen::RowVector3d& from, const Eigen::RowVector3d& to, int uppers) {
-    const auto steps = static_cast<int>((to - from).norm() / kStep) + 1;
+  void sample(const Spot& from, const Spot& to, int uppers) {
+    const auto steps = static_cast<int>((to.at - from.at).norm() / kStep) + 1;
     for (int i = 0; i <= steps; ++i) {
-      const Eigen::RowVector3d at = from + (to - from) * i / steps;
-      const auto near = [&](size_t side) { return (at - centre_[side]).norm() < kReach; };
-      if (uppers == 3 && near(0)) sides_[0].push_back(at);
-      if (uppers == 0 && near(1)) sides_[1].push_back(at);
+      const double way = static_cast<double>(i) / steps;
+      const Spot spot{from.face, from.at + (to.at - from.at) * way,
+                      from.shares + (to.shares - from.shares) * way};
+      const auto near = [&](size_t side) { return (spot.at - centre_[side]).norm() < kReach; };
+      if (uppers == 3 && near(0)) sides_[0].push_back(spot);
+      if (uppers == 0 && near(1)) sides_[1].push_back(spot);
       if (uppers % 3 != 0 && (near(0) || near(1))) joined_ = true;
     }
   }
 
   std::array<Eigen::RowVector3d, 2> centre_;
   double x_;
-  std::array<std::vector<Eigen::RowVector3d>, 2> sides_;
+  std::array<std::vector<Spot>, 2> sides_;
   bool joined_ = false;
 };
 
@@ -109,18 +151,42 @@ double carried_lips(double o, double s) {
   return std::max(o - closed * (1 - smoothstep((o - kClosed) / release)), -s - kPress);
 }
 
-double carried_lids(double q) {
-  const double share = std::max(0.0, 1 + q);
-  if (share >= kAjar) return q;
-  const double closing = 1 - smoothstep((share - kShut) / (kAjar - kShut));
-  return share * (1 - closing) - 1 - kLidPress * closing;
+/// 0 for open lids, 1 for shut ones. @param share of the eye's opening that is left.
+double closing_of(double share) {
+  return 1 - smoothstep((std::max(0.0, share) - kShut) / (kAjar - kShut));
 }
 
 }  // namespace
 
+/// The rims of lids in a plane.
+class LandmarkCarrier::Rims {
+ public:
+  Rims(const Cut& cut, const Eigen::MatrixXi& faces, double of_landmarks) : faces_(faces) {
+    if (auto found = cut.nearest()) {
+      apart_ = (*found)[0].at - (*found)[1].at;
+      if (apart_.norm() > std::max(kFacing * of_landmarks, kOpen)) spots_ = found;
+    }
+  }
+
+  bool known() const { return spots_.has_value(); }
+
+  /// m that the upper rim is above the lower one, along the line between them at rest.
+  double gap(const at::TensorAccessor<float, 3>& moved) const {
+    const auto& [upper, lower] = *spots_;
+    const Eigen::RowVector3d now =
+        apart_ + upper.displacement(faces_, moved) - lower.displacement(faces_, moved);
+    return now.dot(apart_.normalized());
+  }
+
+ private:
+  const Eigen::MatrixXi& faces_;
+  Eigen::RowVector3d apart_ = Eigen::RowVector3d::Zero();
+  std::optional<std::array<Spot, 2>> spots_;
+};
+
 LandmarkCarrier::LandmarkCarrier(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces,
                                  const LandmarkFollower& follower, const Eigen::MatrixXd& mean,
-                                 bool known) {
+                                 bool known, const LandmarkDecoder* decoder) {
   FREETALK_CHECK(mean.rows() == kNumLandmarks && mean.cols() == 3,
                  "STM: expected the mean face's landmarks (68, 3), found (", mean.rows(), ", ",
                  mean.cols(), ")");
@@ -152,10 +218,58 @@ LandmarkCarrier::LandmarkCarrier(const Eigen::MatrixXd& vertices, const Eigen::M
     lids_[i] = told ? *found : mean_gap_[i].norm();
     own_gap_[i] = (place(upper) - place(lower)).transpose();
     own_gap_[i] = lids_[i] * (told && known ? own_gap_[i] : mean_gap_[i]).normalized();
+    lid_press_[i] = kLidPress * lids_[i];
   }
   if (known) {
     width_ = (place(54)[0] - place(48)[0]) / (mean(54, 0) - mean(48, 0));
     width_ = std::clamp(width_, kNarrowest, kBroadest);
+  }
+  if (decoder == nullptr) return;
+  // The rims of an eye in the planes of its two pairs and between them.
+  const auto rims = [&](const Eigen::RowVector3d& top, const Eigen::RowVector3d& bottom) {
+    return Rims(Cut(vertices, faces, lids, top, bottom), faces, (top - bottom).norm());
+  };
+  std::vector<Rims> at, between;
+  for (size_t i = 0; i < kLids.size(); ++i) {
+    const auto [upper, lower] = kLids[i];
+    at.push_back(rims(place(upper), place(lower)));
+    if (i % 2 == 0) {
+      const auto [next_upper, next_lower] = kLids[i + 1];
+      between.push_back(
+          rims((place(upper) + place(next_upper)) / 2, (place(lower) + place(next_lower)) / 2));
+    }
+  }
+  close_lids(*decoder, at, between);
+}
+
+void LandmarkCarrier::close_lids(const LandmarkDecoder& decoder, const std::vector<Rims>& at,
+                                 const std::vector<Rims>& between) {
+  at::Tensor closed = at::zeros({1, kNumLandmarks, 3});
+  auto frame = closed.accessor<float, 3>()[0];
+  for (size_t i = 0; i < kLids.size(); ++i) {
+    for (int axis = 0; axis < 3; ++axis) {
+      frame[kLids[i][0]][axis] = static_cast<float>(-mean_gap_[i][axis]);
+    }
+  }
+  std::array<double, kLids.size() / 2> pasts{};
+  for (int round = 0; round < kLidRounds; ++round) {
+    const at::Tensor decoded = decoder.decode(apply(closed)).to(at::kCPU, at::kFloat);
+    const auto moved = decoded.accessor<float, 3>();
+    for (size_t eye = 0; eye < between.size(); ++eye) {
+      const size_t first = 2 * eye, second = first + 1;
+      if (!at[first].known() || !at[second].known()) continue;
+      const double gaps[] = {at[first].gap(moved), at[second].gap(moved)};
+      double& past = pasts[eye];
+      if (between[eye].known()) {
+        // What would be left between landmarks that pass each other by as much as before.
+        const double left = between[eye].gap(moved) - (gaps[0] + gaps[1]) / 2 - past;
+        past = std::clamp(past + left - kLidLeft, 0.0, kLidPast);
+      }
+      for (size_t k = 0; k < 2; ++k) {
+        double& press = lid_press_[first + k];
+        press = std::clamp(press + gaps[k] + past, -kLidMost, kLidMost);
+      }
+    }
   }
 }
 
@@ -178,7 +292,11 @@ at::Tensor LandmarkCarrier::apply(const at::Tensor& landmarks) const {
       Eigen::Vector3d apart;
       for (int axis = 0; axis < 3; ++axis) apart[axis] = frame[upper][axis] - frame[lower][axis];
       const double q = apart.dot(mean) / mean.squaredNorm();
-      const Eigen::Vector3d wanted = carried_lids(q) * own_gap_[i] + scale * (apart - q * mean);
+      const double closing = closing_of(1 + q);
+      const double left = q >= -1 ? (1 + q) * (1 - closing) : 0;
+      const Eigen::Vector3d wanted = (left - 1) * own_gap_[i] -
+                                     closing * lid_press_[i] * own_gap_[i].normalized() +
+                                     scale * (apart - q * mean);
       for (int axis = 0; axis < 3; ++axis) {
         frame[lower][axis] *= static_cast<float>(scale);
         frame[upper][axis] = frame[lower][axis] + static_cast<float>(wanted[axis]);

@@ -58,7 +58,7 @@ struct Face::State {
   /// @param known whether they are the face's own rather than the mean face's.
   void decode_by_stm(const Eigen::MatrixXd& landmarks, bool known, Stages& stages);
 
-  /// Makes the follower and the carrier, as options.follow_landmarks asks for, where enough of the
+  /// Makes the follower, as options.follow_landmarks asks for, where enough of the
   /// landmarks are near the surface. @param usually what "auto" means. Else as decode_by_stm.
   void follow(const Eigen::MatrixXd& landmarks, bool known, bool usually, const c10::Device& where);
 

@@ -125,6 +125,11 @@ std::shared_ptr<const Face::State> Face::State::prepare(std::shared_ptr<const Ta
   } else {
     face->decode_by_stm(marks, known, stages);
   }
+  if (face->follower) {
+    face->carrier = std::make_unique<const stm::LandmarkCarrier>(
+        face->parts->face_vertices(), face->parts->face_faces(), *face->follower,
+        models->face.landmarks68, known, face->decoder.get());
+  }
   stages.end();
   core::give_memory_back();  // a face is kept for long
   return face;
@@ -142,8 +147,6 @@ void Face::State::follow(const Eigen::MatrixXd& landmarks, bool known, bool usua
   const int64_t followed = made.num_followed();
   if (2 * followed >= core::kNumLandmarks) {
     follower = std::make_shared<const stm::LandmarkFollower>(made.to(where));
-    carrier = std::make_unique<const stm::LandmarkCarrier>(vertices, parts->face_faces(), made,
-                                                           models->face.landmarks68, known);
   } else {
     report.notices.push_back(core::join("only ", followed,
                                         " of the 68 landmarks are near the surface: the motion is "

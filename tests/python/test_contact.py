@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 
 from freetalk.corpus.assets import EXTENTS, crop_quads, load_face_model, triangulate
-from freetalk.stm import LandmarkCarrier, LandmarkFollower
+from freetalk.geometry import surface_operators
+from freetalk.stm import LandmarkCarrier, LandmarkFollower, Stm
 
 LIPS, LIDS = ((61, 67), (62, 66), (63, 65)), ((37, 41), (38, 40), (43, 47), (44, 46))
 
@@ -17,16 +20,28 @@ def mean_landmarks() -> np.ndarray:
     return model.neutral[model.landmarks68].astype(np.float64)
 
 
-def carrier_of(weights: np.ndarray, known: bool = True) -> tuple[LandmarkCarrier, np.ndarray]:
-    """Of an identity of the built-in face with sockets, and its landmarks (68, 3)."""
+def head_of(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices, faces and landmarks of an identity of the built-in face with sockets."""
     model, count = load_face_model(), EXTENTS["sockets"]
     vertices = model.neutral[:count].astype(np.float64)
     vertices += np.tensordot(weights, model.identity_basis[:, :count].astype(np.float64), axes=1)
-    faces = triangulate(crop_quads(model, "sockets"))
-    marks = vertices[model.landmarks68]
+    return vertices, triangulate(crop_quads(model, "sockets")), vertices[model.landmarks68]
+
+
+def carrier_of(weights: np.ndarray, known: bool = True) -> tuple[LandmarkCarrier, np.ndarray]:
+    """Of such a head, and its landmarks (68, 3)."""
+    vertices, faces, marks = head_of(weights)
     follower = LandmarkFollower(vertices, faces, landmarks=marks, normals=np.zeros((68, 3)))
     mean = mean_landmarks()
     return LandmarkCarrier(vertices, faces, follower=follower, mean=mean, known=known), marks
+
+
+def closed(mean: np.ndarray, share: float) -> torch.Tensor:
+    """(1, 68, 3) upper lids of the mean face that go a share of the way to the lower ones."""
+    motion = torch.zeros(1, 68, 3)
+    for upper, lower in LIDS:
+        motion[0, upper] = torch.from_numpy(share * (mean[lower] - mean[upper]))
+    return motion
 
 
 def eyes(deviations: float) -> np.ndarray:
@@ -73,17 +88,45 @@ def test_lids_go_as_far_as_the_eye_is_open(deviations: float) -> None:
     clearance = np.asarray(carrier.lid_clearance)
     of_landmarks = np.array([marks[a, 1] - marks[b, 1] for a, b in LIDS])
     np.testing.assert_allclose(clearance, of_landmarks, rtol=0.08)
-    mean = mean_landmarks()
-    blink = torch.zeros(1, 68, 3)
-    for upper, lower in LIDS:
-        blink[0, upper] = torch.from_numpy(0.96 * (mean[lower] - mean[upper]))
+    blink = closed(mean_landmarks(), 0.96)
     moved = carrier.apply(blink)[0].numpy()
     for (upper, lower), width in zip(LIDS, clearance):
         line = (marks[upper] - marks[lower]) / np.linalg.norm(marks[upper] - marks[lower])
         np.testing.assert_allclose(moved[upper] - moved[lower], -1.02 * width * line, atol=1e-5)
     half = carrier.apply(0.5 * blink)[0].numpy()
-    closed = [np.linalg.norm(half[a] - half[b]) for a, b in LIDS]
-    np.testing.assert_allclose(closed, 0.48 * clearance, rtol=0.01)
+    lengths = [np.linalg.norm(half[a] - half[b]) for a, b in LIDS]
+    np.testing.assert_allclose(lengths, 0.48 * clearance, rtol=0.01)
+
+
+@pytest.mark.parametrize("deviations", [0.0, 3.0])
+def test_lids_meet_on_the_decoded_surface(
+    deviations: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "scripts" / "bench"))
+    import contact
+
+    vertices, faces, marks = head_of(eyes(deviations))
+    follower = LandmarkFollower(vertices, faces, landmarks=marks, normals=np.zeros((68, 3)))
+    model = Stm.from_pretrained(contact.SHIPPED / "stm").eval()
+    options = model.options
+    operators = surface_operators(vertices / options.length_scale, faces, k=options.k_eig)
+    operators = operators.to(dtype=torch.float32)
+    features = model.encode(torch.from_numpy(vertices).float(), operators)
+    decoder = model.frame_decoder(features, operators, follower=follower)
+    mean = mean_landmarks()
+    blink = closed(mean, 0.96)
+    sides = contact.gaps_of((vertices, faces, marks), LIDS)
+    assert len(sides) == 6  # two pairs of each eye, and between them
+    worst = []
+    for own in (None, decoder):
+        carrier = LandmarkCarrier(
+            vertices, faces, follower=follower, mean=mean, known=True, decoder=own
+        )
+        moved = decoder.decode(carrier.apply(blink))[0].numpy()
+        worst.append(np.max([contact.touch(vertices + moved, each) for each in sides], axis=0))
+    assert worst[0][0] > 0.45  # mm: where landmarks meet, the arches between them do not
+    assert worst[1][0] <= 0.3
+    assert worst[1][1] <= 0.5
 
 
 def test_guessed_landmarks_do_not_scale_the_mouth() -> None:

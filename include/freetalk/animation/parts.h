@@ -3,7 +3,8 @@
 // Parts are the connected components of the mesh. In the canonical frame (metres, +Y up, +Z out of
 // the face) they are told apart by where they lie relative to the template's 68 landmarks, their
 // size and shape:
-//   eyeballs          spheres of 8-18 mm radius at the eyes, and round pieces inside them: still
+//   eyeballs          spheres of 8-18 mm radius at the eyes, and round pieces inside them: still;
+//                     lids slide over them
 //   teeth, gums, tongue  behind the lips: above the occlusal plane still, below it rigid with the
 //   jaw; a part that
 //                     holds both is divided by its own connectivity
@@ -16,6 +17,7 @@
 #include <Eigen/Core>
 
 #include <cstdint>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -34,6 +36,8 @@ struct Binding {
   std::vector<int32_t> indices;
   std::vector<float> weights;
 };
+
+class Eyeball;
 
 class Parts {
  public:
@@ -70,6 +74,7 @@ class Parts {
   std::vector<int> part_of_vertex_;
   std::vector<float> jaw_share_;
   Binding binding_;  // (V, Vf)
+  std::shared_ptr<const std::vector<Eyeball>> eyeballs_;
 };
 
 }  // namespace freetalk::animation

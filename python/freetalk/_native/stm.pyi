@@ -205,34 +205,6 @@ class LandmarkFollower:
         (V, 68), 0 for landmarks that are not followed.
         """
 
-class LandmarkCarrier:
-    """
-    Carries the mean face's landmark motion to another face.
-    """
-    def __init__(
-        self,
-        vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
-        faces: typing.Annotated[numpy.typing.ArrayLike, numpy.int32, "[m, n]"],
-        *,
-        follower: LandmarkFollower,
-        mean: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
-        known: bool,
-    ) -> None: ...
-    def apply(self, landmarks: torch.Tensor) -> torch.Tensor:
-        """
-        (T, 68, 3) displacements of this face's landmarks, on the CPU.
-        """
-    @property
-    def lid_clearance(self) -> typing.Annotated[list[float], "FixedSize(4)"]:
-        """
-        m at rest, of landmarks 37-41, 38-40, 43-47 and 44-46.
-        """
-    @property
-    def lip_clearance(self) -> typing.Annotated[list[float], "FixedSize(3)"]:
-        """
-        m at rest, of landmarks 61-67, 62-66 and 63-65.
-        """
-
 class FrameDecoder:
     """
     STM's decoder for many frames of one mesh.
@@ -249,6 +221,35 @@ class FrameDecoder:
     def decode(self, landmarks: torch.Tensor) -> torch.Tensor:
         """
         (T, V, 3) displacements in metres.
+        """
+
+class LandmarkCarrier:
+    """
+    Carries the mean face's landmark motion to another face.
+    """
+    def __init__(
+        self,
+        vertices: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
+        faces: typing.Annotated[numpy.typing.ArrayLike, numpy.int32, "[m, n]"],
+        *,
+        follower: LandmarkFollower,
+        mean: typing.Annotated[numpy.typing.ArrayLike, numpy.float64, "[m, n]"],
+        known: bool,
+        decoder: FrameDecoder = None,
+    ) -> None: ...
+    def apply(self, landmarks: torch.Tensor) -> torch.Tensor:
+        """
+        (T, 68, 3) displacements of this face's landmarks, on the CPU.
+        """
+    @property
+    def lid_clearance(self) -> typing.Annotated[list[float], "FixedSize(4)"]:
+        """
+        m at rest, of landmarks 37-41, 38-40, 43-47 and 44-46.
+        """
+    @property
+    def lip_clearance(self) -> typing.Annotated[list[float], "FixedSize(3)"]:
+        """
+        m at rest, of landmarks 61-67, 62-66 and 63-65.
         """
 
 class AdaptiveOptions:

@@ -163,6 +163,31 @@ TEST(Parts, FollowWhatTheyBelongTo) {
   }
 }
 
+TEST(Parts, SkinSlidesOverEyeballs) {
+  const Head head = make_head();
+  const Parts parts(head.scene.vertices, head.scene.faces, template_landmarks());
+  const auto pressed = at::tensor({0.0f, 0.0f, -0.011f}).expand({1, 31 * 31, 3}).contiguous();
+  const auto given = pressed.clone();
+  const auto moved = parts.move(pressed, at::zeros({1, 68, 3}));
+  EXPECT_TRUE(at::equal(pressed, given));
+  const Eigen::Vector3d centre(0.0315, 0.038, -0.010);
+  int slid = 0, others = 0;
+  for (int v = 0; v < 31 * 31; ++v) {
+    const float* by = moved.const_data_ptr<float>() + 3 * v;
+    const Eigen::Vector3d rest = head.scene.vertices.row(v);
+    const Eigen::Vector3d now = rest + Eigen::Vector3d(by[0], by[1], by[2]);
+    const double beside = (rest - centre).head<2>().norm();
+    // The ball's facets are up to 1 mm inside its sphere of 14 mm.
+    if (beside < 0.011) EXPECT_GT((now - centre).norm(), 0.0132) << rest.transpose();
+    slid += by[2] > -0.0105f;
+    if (beside < 0.016) continue;
+    ++others;
+    EXPECT_EQ(by[2], -0.011f) << rest.transpose();
+  }
+  EXPECT_GT(slid, 5);
+  EXPECT_GT(others, 800);
+}
+
 TEST(Parts, TextureSeamsAreClosedButLipsStayApart) {
   // The mask again, cut along x = 0 with doubled vertices as a texture seam does.
   Scene scene;
