@@ -126,9 +126,10 @@ std::shared_ptr<const Face::State> Face::State::prepare(std::shared_ptr<const Ta
     face->decode_by_stm(marks, known, stages);
   }
   if (face->follower) {
+    const auto* seen = options.engine == "head" ? nullptr : face->decoder.get();
     face->carrier = std::make_unique<const stm::LandmarkCarrier>(
         face->parts->face_vertices(), face->parts->face_faces(), *face->follower,
-        models->face.landmarks68, known, face->decoder.get());
+        models->face.landmarks68, known, seen);
   }
   stages.end();
   core::give_memory_back();  // a face is kept for long
