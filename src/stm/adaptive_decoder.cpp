@@ -7,6 +7,7 @@
 
 #include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
+#include "freetalk/stm/landmark_follower.h"
 #include "geometry/combine_fields.h"
 
 namespace freetalk::stm {
@@ -25,7 +26,7 @@ constexpr int64_t kChunkBytes = int64_t{8} << 20;
 constexpr int64_t kMotionSamples = 512;  // vertices of which the mean motion is taken
 constexpr double kLength = 2.0;          // of the kernel, in spreads of the clip
 // Frames that are not checked may err more for their doubt than those that are.
-constexpr double kMeanSafety = 1.2, kMaxSafety = 1.4;
+constexpr double kMeanSafety = 1.2, kMaxSafety = 1.5;
 constexpr double kRoundingShare = 0.6;  // of a tolerance, at most
 
 /// Landmark motion in mm about its mean.
@@ -108,7 +109,7 @@ class Clip {
     const std::vector<int64_t> checked(nodes.begin() + before, nodes.end());
     const at::Tensor exact = decode(before);
     const auto errors =
-        errors_of(combine_fields(interpolation_.weights(checked, before), fields_), exact);
+        errors_of(interpolated(frames(before), interpolation_.weights(checked, before)), exact);
     double errors_sum[2]{}, doubts[2]{};  // of frames spread over all doubts, of the most doubtful
     Errors found;
     for (size_t k = 0; k < checked.size(); ++k) {
@@ -150,7 +151,8 @@ class Clip {
     const int64_t chunk = std::clamp<int64_t>(kChunkBytes / of_frame, 1, kChunk);
     for (int64_t first = 0; first < landmarks_.size(0); first += chunk) {
       const int64_t count = std::min(chunk, landmarks_.size(0) - first);
-      sink(first, combine_fields(weights.middleRows(first, count), fields_));
+      sink(first,
+           interpolated(landmarks_.narrow(0, first, count), weights.middleRows(first, count)));
     }
   }
 
@@ -186,6 +188,17 @@ class Clip {
     const at::Tensor motion =
         combine_fields(interpolation_.weights(decoded()), sampled).norm(2, -1);
     return std::max(motion.mean().item<double>(), 1e-9);
+  }
+
+  /// Displacements of frames from those of the first nodes, weights (T, n), made to follow the
+  /// frames' landmarks (T, 68, 3).
+  at::Tensor interpolated(const at::Tensor& landmarks, const Points& weights) const {
+    at::Tensor result = combine_fields(weights, fields_.narrow(0, 0, weights.cols()));
+    if (const LandmarkFollower* follower = decoder_->follower()) {
+      follower->add(result,
+                    landmarks - combine_fields(weights, frames(0).narrow(0, 0, weights.cols())));
+    }
+    return result;
   }
 
   /// The landmarks of the nodes from this one on.

@@ -244,6 +244,7 @@ LandmarkCarrier::LandmarkCarrier(const Eigen::MatrixXd& vertices, const Eigen::M
 
 void LandmarkCarrier::close_lids(const LandmarkDecoder& decoder, const std::vector<Rims>& at,
                                  const std::vector<Rims>& between) {
+  const LandmarkDecoder& fast = decoder.fastest();
   at::Tensor closed = at::zeros({1, kNumLandmarks, 3});
   auto frame = closed.accessor<float, 3>()[0];
   for (size_t i = 0; i < kLids.size(); ++i) {
@@ -253,7 +254,7 @@ void LandmarkCarrier::close_lids(const LandmarkDecoder& decoder, const std::vect
   }
   std::array<double, kLids.size() / 2> pasts{};
   for (int round = 0; round < kLidRounds; ++round) {
-    const at::Tensor decoded = decoder.decode(apply(closed)).to(at::kCPU, at::kFloat);
+    const at::Tensor decoded = fast.decode(apply(closed)).to(at::kCPU, at::kFloat);
     const auto moved = decoded.accessor<float, 3>();
     for (size_t eye = 0; eye < between.size(); ++eye) {
       const size_t first = 2 * eye, second = first + 1;

@@ -17,6 +17,8 @@ namespace {
 
 using core::kNumLandmarks;
 
+constexpr int64_t kTogether = 8;  // frames of a product
+
 /// (V, 1) m from each vertex to the nearest landmark.
 Eigen::MatrixXd distances_of(const Eigen::MatrixXd& vertices, const Eigen::MatrixXd& landmarks) {
   Eigen::MatrixXd distances(vertices.rows(), 1);
@@ -103,6 +105,19 @@ at::Tensor LandmarkFollower::apply_frames(const at::Tensor& displacements,
     }
   });
   return result;
+}
+
+void LandmarkFollower::add(const at::Tensor& displacements, const at::Tensor& differences) const {
+  const int64_t frames = displacements.size(0), vertices = displacements.size(1);
+  core::parallel_for(0, (frames + kTogether - 1) / kTogether, 1, [&](int64_t begin, int64_t end) {
+    for (int64_t first = kTogether * begin; first < std::min(frames, kTogether * end);
+         first += kTogether) {
+      const int64_t count = std::min(kTogether, frames - first);
+      const at::Tensor told = differences.narrow(0, first, count).transpose(0, 1).flatten(1);
+      const at::Tensor spread = (reach_ * at::mm(weights_, told)).view({vertices, count, 3});
+      displacements.narrow(0, first, count).add_(spread.transpose(0, 1));
+    }
+  });
 }
 
 LandmarkFollower LandmarkFollower::to(const c10::Device& device) const {

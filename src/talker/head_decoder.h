@@ -35,6 +35,7 @@ class HeadDecoder : public stm::LandmarkDecoder {
               const std::function<void(int64_t, const at::Tensor&)>& sink) const override;
   at::Tensor decode(const at::Tensor& landmarks) const override;
   const LandmarkDecoder& fastest() const override;
+  const stm::LandmarkFollower* follower() const override { return follower_.get(); }
 
   /// Codes (T, expression_dim) that explain landmarks (T, 68, 3), m.
   at::Tensor codes_of(const at::Tensor& landmarks) const;

@@ -2,9 +2,10 @@
 //
 // What a decoder makes of a frame is a smooth function of its landmarks, and a clip's landmarks
 // keep to a few modes: a few frames are decoded, the others interpolated between them in the space
-// of landmark motion (geometry/greedy_interpolation.h). Frames are decoded where the interpolation
-// is most doubtful. Each is interpolated first, and the error found, in proportion to the doubt,
-// tells how large it will be at the frames that are left.
+// of landmark motion (geometry/greedy_interpolation.h), and made to follow their own landmarks as
+// the decoder's frames are. Frames are decoded where the interpolation is most doubtful. Each is
+// interpolated first, and the error found, in proportion to the doubt, tells how large it will be
+// at the frames that are left.
 #pragma once
 
 #include <ATen/core/Tensor.h>

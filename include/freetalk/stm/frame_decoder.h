@@ -38,6 +38,7 @@ class FrameDecoder : public LandmarkDecoder {
   /// The fastest decoder of this mesh on this processor: in bfloat16 where it multiplies that,
   /// made when it is first asked for; else this one.
   const FrameDecoder& fastest() const override;
+  const LandmarkFollower* follower() const override { return follower_.get(); }
 
  private:
   /// Frames of a chunk, and how many of them are in work at a time: as many as the memory and the

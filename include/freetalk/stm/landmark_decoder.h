@@ -9,6 +9,8 @@
 
 namespace freetalk::stm {
 
+class LandmarkFollower;
+
 /// Immutable: decoding may run on several threads at a time. A frame's displacements depend on
 /// nothing but its landmarks.
 class LandmarkDecoder {
@@ -26,6 +28,8 @@ class LandmarkDecoder {
   virtual at::Tensor decode_once(const at::Tensor& landmarks) const { return decode(landmarks); }
   /// A faster decoder of the same surface with coarser numbers, or this one.
   virtual const LandmarkDecoder& fastest() const = 0;
+  /// What makes the displacements follow the landmarks; null: nothing does.
+  virtual const LandmarkFollower* follower() const = 0;
 };
 
 }  // namespace freetalk::stm

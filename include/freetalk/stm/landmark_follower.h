@@ -60,6 +60,10 @@ class LandmarkFollower {
   /// As apply(), each frame by itself, over the threads: its bits depend on no other frame.
   at::Tensor apply_frames(const at::Tensor& displacements, const at::Tensor& landmarks) const;
 
+  /// Adds reach weights differences to displacements (T, V, 3), m, in place: how the surface
+  /// follows landmarks that are elsewhere by differences (T, 68, 3), m, than where it has them.
+  void add(const at::Tensor& displacements, const at::Tensor& differences) const;
+
   /// A copy on a device.
   LandmarkFollower to(const c10::Device& device) const;
 

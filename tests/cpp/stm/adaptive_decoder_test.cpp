@@ -29,8 +29,8 @@ class AdaptiveDecoder : public testing::Test {
     const torch::NoGradGuard no_grad;
     model_->named_parameters()["decoder.last_lin.weight"].normal_(0, 0.3);
     model_->eval();
-    Eigen::MatrixXd vertices(72, 3);
-    Eigen::MatrixXi faces(112, 3);
+    Eigen::MatrixXd& vertices = vertices_;
+    Eigen::MatrixXi& faces = faces_;
     int face = 0;
     for (int i = 0; i < 9; ++i) {
       for (int j = 0; j < 8; ++j) {
@@ -53,6 +53,14 @@ class AdaptiveDecoder : public testing::Test {
     features_ = model_->encode(positions, operators_);
   }
 
+  /// One that follows landmarks at the first vertices.
+  FrameDecoder following() const {
+    const Eigen::MatrixXd landmarks = vertices_.topRows(68);
+    const auto follower = std::make_shared<const LandmarkFollower>(
+        vertices_, faces_, landmarks, Eigen::MatrixXd::Zero(68, 3), FollowOptions{});
+    return {model_.ptr(), features_, operators_, {}, follower};
+  }
+
   FrameDecoder decoder(int64_t memory_bytes = int64_t{256} << 20) const {
     return {model_.ptr(), features_, operators_, {"float32", memory_bytes}};
   }
@@ -65,6 +73,8 @@ class AdaptiveDecoder : public testing::Test {
     return torch::einsum("tm,mlc->tlc", {rhythm, modes}).contiguous();
   }
 
+  Eigen::MatrixXd vertices_{72, 3};
+  Eigen::MatrixXi faces_{112, 3};
   Stm model_{nullptr};
   geometry::SurfaceOperators operators_;
   MeshFeatures features_;
@@ -86,6 +96,16 @@ TEST_F(AdaptiveDecoder, StaysWithinTheTolerances) {
   EXPECT_LE(report.max_error_mm, options.tolerance_mm);
 }
 
+TEST_F(AdaptiveDecoder, AddedDifferencesAreFollowedAsLandmarksAre) {
+  const at::Tensor zero = torch::zeros({20, 72, 3}), told = speech_like(20);
+  const FrameDecoder decoder = following();
+  const LandmarkFollower& follower = *decoder.follower();
+  const at::Tensor more = 1e-3 * torch::randn({20, 68, 3}, core::make_generator(5));
+  const at::Tensor moved = follower.apply(zero, told);
+  follower.add(moved, more);
+  EXPECT_TRUE(at::allclose(moved, follower.apply(zero, told + more), 1e-4, 1e-7));
+}
+
 TEST_F(AdaptiveDecoder, NoToleranceDecodesEveryFrame) {
   const FrameDecoder exact = decoder();
   const at::Tensor landmarks = speech_like(60);
@@ -101,11 +121,14 @@ TEST_F(AdaptiveDecoder, HasTheSameBitsForAnyThreadsAndMemory) {
   at::set_num_threads(1);
   const at::Tensor one = decode_adaptively(decoder(), landmarks);
   const at::Tensor small = decode_adaptively(decoder(1), landmarks);
+  const at::Tensor followed = decode_adaptively(following(), landmarks);
   at::set_num_threads(3);
   const at::Tensor three = decode_adaptively(decoder(), landmarks);
+  const at::Tensor followed_by_three = decode_adaptively(following(), landmarks);
   at::set_num_threads(threads);
   EXPECT_TRUE(at::equal(one, small));
   EXPECT_TRUE(at::equal(one, three));
+  EXPECT_TRUE(at::equal(followed, followed_by_three));
 }
 
 TEST_F(AdaptiveDecoder, ALongClipOfTheSameMotionDecodesHardlyMoreFrames) {
