@@ -23,11 +23,16 @@ def task(tmp_path_factory: pytest.TempPathFactory) -> SystemsTask:
 @pytest.mark.slow
 def test_the_truth_has_no_error_and_a_still_face_has(task: SystemsTask) -> None:
     truth, still = task.judged(task.truth), task.judged(task.still)
-    assert truth["fid"] == pytest.approx(0, abs=1e-9) and truth["lve"] == 0
-    assert truth["frames"] == 8  # 9 at 30 fps, at 25
-    assert still["fid"] > 1e-4 and still["lve"] > 0 and "opening" not in still
-    table = text({"the truth": {**truth, "opening": 1.0}, "still face": still}, "tiny", "clips")
+    assert truth["fid"]["mean"] == pytest.approx(0, abs=1e-9) and truth["lve"]["mean"] == 0
+    assert truth["frames"]["mean"] == 8  # 9 at 30 fps, at 25
+    assert still["fid"]["mean"] > 1e-4 and still["lve"]["mean"] > 0 and "opening" not in still
+    values = list(still["lve"]["per_sequence"].values())
+    assert len(values) == 2 and still["lve"]["mean"] == pytest.approx(np.mean(values))
+    said = dict.fromkeys(("size", "command", "commit", "data_fingerprint", "about", "drawn"), "-")
+    moving = {"mean": 0.5, "low": 0.25, "high": 0.75}
+    table = text({**said, "rows": {"half": {**truth, "opening": moving}, "still face": still}})
     assert "| still face | " in table and "| – |" in table and "| FID | KID |" in table
+    assert "| 0.500 [0.250, 0.750] |" in table
 
 
 @pytest.mark.slow
@@ -35,7 +40,9 @@ def test_predictions_are_read(task: SystemsTask, tmp_path: Path) -> None:
     for clip in task.clips:
         np.save(tmp_path / f"{clip.id}.npy", 0.5 * task.truth(clip))
     half = task.judged(task.predicted(tmp_path))
-    assert half["lve"] == pytest.approx(0.25 * task.judged(task.still)["lve"], rel=1e-3)
+    assert half["lve"]["mean"] == pytest.approx(
+        0.25 * task.judged(task.still)["lve"]["mean"], rel=1e-3
+    )
     np.save(tmp_path / f"{task.clips[0].id}.npy", np.zeros((4, 5, 3)))
     with pytest.raises(ValueError, match="expected"):
         task.predicted(tmp_path)(task.clips[0])

@@ -7,8 +7,11 @@ motion. LSE-D needs the user's SyncNet, FIQA and VQA the user's functions, and p
 from __future__ import annotations
 
 import argparse
+import shlex
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +23,7 @@ from freetalk._pretrained import find_weights
 from freetalk.corpus.linear_face import built_in_face
 from freetalk.data import Dataset, MotionSequence, lip_opening, open_dataset
 from freetalk.data.landmark_transfer import propose_landmarks
+from freetalk.evaluate.clusters import clusters_of
 from freetalk.evaluate.crops import (
     ClipScore,
     clip_score,
@@ -28,18 +32,24 @@ from freetalk.evaluate.crops import (
     mouth_frames,
     network_features,
 )
+from freetalk.evaluate.dataset_truth import origin_of
 from freetalk.evaluate.generated import Features, features_of, frechet_distance, kernel_distance
+from freetalk.evaluate.report import StatisticsSettings, pooled
 from freetalk.evaluate.syncnet import SyncNet, lip_sync_error
+from freetalk.evaluate.writers import number
 from freetalk.tables.papers import FACETALK_1
+from freetalk.train.checkpoint import git_commit
 from freetalk.viz import Sequence as Moving
 
 FloatArray = npt.NDArray[np.float32]
 #: A clip to vertex displacements (T, V, 3) m at the clip's rate.
 System = Callable[[MotionSequence], FloatArray]
+#: ``mean`` and, where clips have values of their own, ``low``, ``high`` and ``per_sequence``.
+Score = Mapping[str, Any]
 
 NAME = "facetalk_1"
 #: Clips and frames of each at most.
-SIZES = {"tiny": (1, 12), "small": (12, 150), "full": (100, 300)}
+SIZES = {"tiny": (1, 12), "small": (20, 150), "full": (100, 300)}
 #: The meshing whose count of vertices is nearest to this is shown.
 _VERTICES = 8000
 _SOURCES = ("running", "facegood", "synthetic", "emodb")
@@ -87,6 +97,8 @@ class SystemsTask:
             spoken[i].clip(f"{spoken[i].id}", 0, min(frames, spoken[i].num_frames)) for i in order
         ]
         self.corpus = corpus.select(self.clips)
+        unit, self._clusters = clusters_of({clip.id: origin_of(clip) for clip in self.clips})
+        self.drawn = f"{len(set(self._clusters.values()))} {unit}"
         self.topology = max(meshings, key=lambda m: -abs(corpus.num_vertices(m) - _VERTICES))
         self.mesh = corpus.mesh(corpus.identities("test")[0], self.topology)
         face = propose_landmarks(self.mesh.vertices, self.mesh.faces, built_in_face())
@@ -134,23 +146,28 @@ class SystemsTask:
 
         return read
 
-    def judged(self, system: System) -> dict[str, float]:
-        """Scores of a system over all clips; NaN where there is none."""
+    def judged(self, system: System) -> dict[str, Score]:
+        """Scores of a system, without those that no clip has.
+
+        FID and KID compare all frames at once and have a mean alone; the others are means over clips with
+        their bootstrap intervals, drawn by speakers or takes (``drawn``), and the clips' values.
+        """
         made = {clip.id: system(clip) for clip in self.clips}
         seen = self._pictures(made)
-        found: dict[str, list[float]] = {}
+        found: dict[str, dict[str, float]] = {}
         for clip in self.clips:
             for name, value in self._by_clip(clip, made[clip.id]).items():
-                found.setdefault(name, []).append(value)
-        means = {
-            name: float(np.nanmean(values))
-            for name, values in found.items()
-            if np.isfinite(values).any()
-        }
+                if np.isfinite(value):
+                    found.setdefault(name, {})[clip.id] = value
         return {
-            "fid": frechet_distance(seen, self._seen),
-            "kid": kernel_distance(seen, self._seen),
-            **means,
+            "fid": {"mean": frechet_distance(seen, self._seen)},
+            "kid": {"mean": kernel_distance(seen, self._seen)},
+            **{
+                name: pooled(
+                    values, dict.fromkeys(values, 1.0), self._clusters, StatisticsSettings()
+                )
+                for name, values in found.items()
+            },
         }
 
     def _by_clip(self, clip: MotionSequence, motion: FloatArray) -> dict[str, float]:
@@ -190,7 +207,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     features = dct_features if given.features is None else network_features(given.features)
     net = None if given.syncnet is None else SyncNet.from_file(given.syncnet)
     scores = dict(clip_score(spec) for spec in given.score)
-    task = SystemsTask(open_dataset(given.data), clips, frames, features, net, scores)
+    corpus = open_dataset(given.data)
+    task = SystemsTask(corpus, clips, frames, features, net, scores)
     weights = find_weights(given.pretrained)
     talker = freetalk.Talker.from_pretrained(weights)
     systems: dict[str, System] = {}
@@ -202,24 +220,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for spec in given.pred:
         name, _, folder = spec.partition("=")
         systems[name] = task.predicted(Path(folder))
-    systems |= {"still face": task.still, "the true motion": task.truth}
+    systems["still face"] = task.still
+    if net is not None or scores:  # all else is of its difference from the truth
+        systems["the true motion"] = task.truth
     rows = {}
     for name, system in systems.items():
         rows[name] = task.judged(system)
-        print(f"{name}: " + ", ".join(f"{k} {v:.4g}" for k, v in rows[name].items()), flush=True)
+        print(f"{name}: " + ", ".join(f"{k} {_cell(v)}" for k, v in rows[name].items()), flush=True)
     seen = "a user's network" if given.features else "low frequencies of the pictures, no network"
-    about = (
-        f"{len(task.clips)} clips of the test split, on {task.mesh.name} ({len(task.mesh.vertices)} vertices). "
-        f"Features of FID and KID: {seen}"
-    )
-    write_json(given.out / f"{NAME}.json", {"size": given.size, "about": about, "rows": rows})
-    write_text(given.out / f"{NAME}.md", text(rows, given.size, about))
+    typed = list(sys.argv[1:] if arguments is None else arguments)
+    result = {
+        "size": given.size,
+        "command": f"python scripts/table_{NAME}.py {shlex.join(typed)}",
+        "commit": git_commit(),
+        "data_fingerprint": corpus.fingerprint,
+        "about": f"{len(task.clips)} clips of the test split, {frames / corpus.fps:.3g} s of each at most, on "
+        f"{task.mesh.name} ({len(task.mesh.vertices)} vertices). Features of FID and KID: {seen}",
+        "drawn": task.drawn,
+        "rows": rows,
+    }
+    write_json(given.out / f"{NAME}.json", result)
+    write_text(given.out / f"{NAME}.md", text(result))
     print(f"wrote {given.out / NAME}.md, .json")
     return 0
 
 
-def text(rows: Mapping[str, Mapping[str, float]], size: str, about: str) -> str:
+def text(result: Mapping[str, Any]) -> str:
     """The table as Markdown."""
+    rows: Mapping[str, Mapping[str, Score]] = result["rows"]
     names = list(dict.fromkeys(name for row in rows.values() for name in row))
     printed = "; ".join(
         f"{n}: LSE-D {v[0]:g}, FID {v[1]:g}, KID {v[2]:g}" for n, v in FACETALK_1.items()
@@ -227,16 +255,27 @@ def text(rows: Mapping[str, Mapping[str, float]], size: str, about: str) -> str:
     lines = [
         "# Systems [FaceTalk, Table 1]",
         "",
-        f"Size {size}: {about}. FID and KID are of grey mouths, rendered on the same face, against the true motion's; the "
-        f"paper's are against video of people ({printed}).",
+        f"- command: `{result['command']}`",
+        f"- size {result['size']}, commit {result['commit'][:12]}, data {result['data_fingerprint']}",
+        f"- {result['about']}",
+        "- FID and KID are of grey mouths, rendered on the same face, against the true motion's; the paper's are "
+        f"against video of people ({printed})",
+        f"- [low, high]: 95 % bootstrap interval (BCa) over the clips' {result['drawn']}",
         "",
         "| | " + " | ".join(_LABELS.get(name, name) for name in names) + " |",
         "|---" * (len(names) + 1) + "|",
     ]
     for name, row in rows.items():
-        cells = [f"{row[key]:.4g}" if key in row else "–" for key in names]
+        cells = [_cell(row[key]) if key in row else "–" for key in names]
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     return "\n".join([*lines, ""])
+
+
+def _cell(score: Score) -> str:
+    mean = number(score["mean"], 3)
+    if score.get("low") is None:
+        return mean
+    return f"{mean} [{number(score['low'], 3)}, {number(score['high'], 3)}]"
 
 
 def _parser() -> argparse.ArgumentParser:
