@@ -195,7 +195,11 @@ def measure(
     outward = vertex_normals(mean[0], mean[1])[load_face_model().landmarks68]
     marks, noise = (head[2], FollowOptions().noise) if known else (mean[2], GUESSED_NOISE)
     follower = LandmarkFollower(
-        vertices, faces, landmarks=marks, normals=outward, options=FollowOptions(noise=noise)
+        vertices,
+        faces,
+        landmarks=marks,
+        normals=outward,
+        options=FollowOptions(noise=noise, guessed=not known),
     )
     features = model.encode(torch.from_numpy(vertices).float(), operators)
     decoder = model.frame_decoder(features, operators, follower=follower)

@@ -4,12 +4,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <optional>
 #include <vector>
 
 #include "core/smoothstep.h"
 #include "freetalk/core/error.h"
+#include "stm/gap_cut.h"
 #include "stm/lip_sides.h"
 
 namespace freetalk::stm {
@@ -21,9 +21,6 @@ using core::kNumLandmarks;
 using core::smoothstep;
 using Frame = at::TensorAccessor<float, 2>;
 
-constexpr double kReach = 0.005;        // m around a landmark, in which its side is looked for
-constexpr double kFilled = 0.002;       // m: joined sides farther apart have skin between them
-constexpr double kStep = 1e-4;          // m between samples of a side
 constexpr double kClosed = 4e-4;        // c, m
 constexpr double kPress = 1.5e-4;       // p, m
 constexpr double kRelease = 3.0;        // r, of what is closed; above 1.5 the order of gaps is kept
@@ -42,101 +39,6 @@ constexpr double kOpen = 1e-3;       // m: an eye whose rims are nearer is close
 constexpr int kLidRounds = 4;
 constexpr double kNarrowest = 0.75, kBroadest = 1.3;  // of the mean mouth's width
 constexpr int kChin = 6, kChinEnd = 11, kMouth = 48;
-
-/// A place on a surface.
-struct Spot {
-  int face = 0;
-  Eigen::RowVector3d at, shares;
-
-  /// Where the place is, m. @param moved (1, V, 3) displacements.
-  Eigen::RowVector3d displacement(const Eigen::MatrixXi& faces,
-                                  const at::TensorAccessor<float, 3>& moved) const {
-    Eigen::RowVector3d sum = Eigen::RowVector3d::Zero();
-    for (int k = 0; k < 3; ++k) {
-      for (int axis = 0; axis < 3; ++axis) sum[axis] += shares[k] * moved[0][faces(face, k)][axis];
-    }
-    return sum;
-  }
-};
-
-/// Two sides of a gap, cut by the plane through a pair of landmarks.
-class Cut {
- public:
-  /// @param upper (V,) whether a vertex belongs to the upper side.
-  Cut(const Eigen::MatrixXd& vertices, const Eigen::MatrixXi& faces, const std::vector<bool>& upper,
-      const Eigen::RowVector3d& top, const Eigen::RowVector3d& bottom)
-      : centre_{top, bottom}, x_((top[0] + bottom[0]) / 2) {
-    for (Eigen::Index f = 0; f < faces.rows(); ++f) {
-      const auto corner = [&](int k) { return vertices.row(faces(f, k)); };
-      int uppers = 0, left = 0;
-      for (int k = 0; k < 3; ++k) {
-        uppers += upper[static_cast<size_t>(faces(f, k))];
-        left += corner(k)[0] < x_;
-      }
-      if (left == 0 || left == 3) continue;
-      std::array<Spot, 2> ends;
-      size_t found = 0;
-      for (int k = 0; k < 3; ++k) {
-        const Eigen::RowVector3d a = corner(k), b = corner((k + 1) % 3);
-        if ((a[0] < x_) == (b[0] < x_)) continue;
-        const double share = (x_ - a[0]) / (b[0] - a[0]);
-        Spot& end = ends[found++];
-        end = {static_cast<int>(f), a + share * (b - a), Eigen::RowVector3d::Zero()};
-        end.shares[k] = 1 - share;
-        end.shares[(k + 1) % 3] = share;
-      }
-      sample(ends[0], ends[1], uppers);
-    }
-  }
-
-  /// m; nothing where a side is missing. Where skin joins the sides they are as far apart as the
-  /// landmarks, or closed.
-  std::optional<double> clearance() const {
-    if (joined_) {
-      const double apart = (centre_[0] - centre_[1]).norm();
-      return apart > kFilled ? apart : 0.0;
-    }
-    const auto found = nearest();
-    if (!found) return std::nullopt;
-    return ((*found)[0].at - (*found)[1].at).norm();
-  }
-
-  /// Where the sides come nearest to each other; nothing where one is missing.
-  std::optional<std::array<Spot, 2>> nearest() const {
-    if (sides_[0].empty() || sides_[1].empty()) return std::nullopt;
-    double least = std::numeric_limits<double>::infinity();
-    std::array<Spot, 2> result{sides_[0].front(), sides_[1].front()};
-    for (const auto& a : sides_[0]) {
-      for (const auto& b : sides_[1]) {
-        const double distance = (a.at - b.at).squaredNorm();
-        if (distance >= least) continue;
-        least = distance;
-        result = {a, b};
-      }
-    }
-    return result;
-  }
-
- private:
-  /// Keeps what of a segment is near the landmark of its side. @param uppers of its three corners.
-  void sample(const Spot& from, const Spot& to, int uppers) {
-    const auto steps = static_cast<int>((to.at - from.at).norm() / kStep) + 1;
-    for (int i = 0; i <= steps; ++i) {
-      const double way = static_cast<double>(i) / steps;
-      const Spot spot{from.face, from.at + (to.at - from.at) * way,
-                      from.shares + (to.shares - from.shares) * way};
-      const auto near = [&](size_t side) { return (spot.at - centre_[side]).norm() < kReach; };
-      if (uppers == 3 && near(0)) sides_[0].push_back(spot);
-      if (uppers == 0 && near(1)) sides_[1].push_back(spot);
-      if (uppers % 3 != 0 && (near(0) || near(1))) joined_ = true;
-    }
-  }
-
-  std::array<Eigen::RowVector3d, 2> centre_;
-  double x_;
-  std::array<std::vector<Spot>, 2> sides_;
-  bool joined_ = false;
-};
 
 /// Opening of a pair in a frame.
 template <class Pair>
@@ -161,7 +63,7 @@ double closing_of(double share) {
 /// The rims of lids in a plane.
 class LandmarkCarrier::Rims {
  public:
-  Rims(const Cut& cut, const Eigen::MatrixXi& faces, double of_landmarks) : faces_(faces) {
+  Rims(const GapCut& cut, const Eigen::MatrixXi& faces, double of_landmarks) : faces_(faces) {
     if (auto found = cut.nearest()) {
       apart_ = (*found)[0].at - (*found)[1].at;
       if (apart_.norm() > std::max(kFacing * of_landmarks, kOpen)) spots_ = found;
@@ -203,7 +105,7 @@ LandmarkCarrier::LandmarkCarrier(const Eigen::MatrixXd& vertices, const Eigen::M
     return sum;
   };
   const auto clearance = [&](const std::vector<bool>& upper, const auto& pair) {
-    return Cut(vertices, faces, upper, place(pair[0]), place(pair[1])).clearance();
+    return GapCut(vertices, faces, upper, place(pair[0]), place(pair[1])).clearance();
   };
   const auto lips = upper_side(weights, kInnerLips), lids = upper_side(weights, kLids);
   for (size_t i = 0; i < kInnerLips.size(); ++i) {
@@ -217,7 +119,7 @@ LandmarkCarrier::LandmarkCarrier(const Eigen::MatrixXd& vertices, const Eigen::M
     const bool told = found && (known || *found > 0);
     lids_[i] = told ? *found : mean_gap_[i].norm();
     own_gap_[i] = (place(upper) - place(lower)).transpose();
-    own_gap_[i] = lids_[i] * (told && known ? own_gap_[i] : mean_gap_[i]).normalized();
+    own_gap_[i] = lids_[i] * (told ? own_gap_[i] : mean_gap_[i]).normalized();
     lid_press_[i] = kLidPress * lids_[i];
   }
   if (known) {
@@ -227,7 +129,7 @@ LandmarkCarrier::LandmarkCarrier(const Eigen::MatrixXd& vertices, const Eigen::M
   if (decoder == nullptr) return;
   // The rims of an eye in the planes of its two pairs and between them.
   const auto rims = [&](const Eigen::RowVector3d& top, const Eigen::RowVector3d& bottom) {
-    return Rims(Cut(vertices, faces, lids, top, bottom), faces, (top - bottom).norm());
+    return Rims(GapCut(vertices, faces, lids, top, bottom), faces, (top - bottom).norm());
   };
   std::vector<Rims> at, between;
   for (size_t i = 0; i < kLids.size(); ++i) {

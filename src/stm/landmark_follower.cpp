@@ -10,6 +10,7 @@
 #include "freetalk/core/conventions.h"
 #include "freetalk/core/error.h"
 #include "geometry/tensor_conversion.h"
+#include "stm/lid_rims.h"
 #include "stm/lip_sides.h"
 
 namespace freetalk::stm {
@@ -50,6 +51,7 @@ LandmarkFollower::LandmarkFollower(const Eigen::MatrixXd& vertices, const Eigen:
                  landmarks.cols(), ")");
   auto places = geometry::nearest_on_surface(vertices, faces, landmarks, normals);
   put_on_their_lips(vertices, faces, landmarks, normals, places);
+  if (options.guessed) put_on_their_lids(vertices, faces, landmarks, places);
   std::vector<Eigen::Index> near;
   for (Eigen::Index n = 0; n < kNumLandmarks; ++n) {
     if (places.distance[n] <= options.farthest) near.push_back(n);

@@ -142,6 +142,7 @@ void Face::State::follow(const Eigen::MatrixXd& landmarks, bool known, bool usua
   if (wanted == "no" || (wanted == "auto" && !usually)) return;
   const Eigen::MatrixXd& vertices = parts->face_vertices();
   stm::FollowOptions how;
+  how.guessed = !known;
   if (!known) how.kriging.noise = kUncertain;
   const stm::LandmarkFollower made(vertices, parts->face_faces(), landmarks, models->face.outward68,
                                    how);

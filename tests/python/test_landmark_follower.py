@@ -229,3 +229,58 @@ def test_guessed_landmarks_move_the_lip_they_belong_to(off: float) -> None:
     assert middle.sum() > 20
     assert np.abs(moved[upper[middle]]).max() < 0.003
     assert moved[lower[middle]].max() < -0.006
+
+
+@pytest.mark.parametrize(
+    ("wider", "higher"), [(2.0, 0.0), (-2.0, 0.0), (0.0, 2.0), (0.0, -2.5), (-1.5, 1.5)]
+)
+def test_guessed_lids_are_put_on_the_rims_of_the_eyes(
+    head: tuple[np.ndarray, np.ndarray, np.ndarray], wider: float, higher: float
+) -> None:
+    _, faces, marks = head
+    model = load_face_model()
+    basis = model.identity_basis[:, marks].astype(np.float64)
+    mouth = basis[:, 54, 0] - basis[:, 48, 0]  # the eyes of a wider mouth lie farther apart
+    eyes = basis[:, [37, 38, 43, 44], 1].sum(axis=1) - basis[:, [41, 40, 47, 46], 1].sum(axis=1)
+    weights = wider * mouth / np.linalg.norm(mouth) + higher * eyes / np.linalg.norm(eyes)
+    moved = np.tensordot(weights, model.identity_basis[:, : EXTENTS["sockets"]], axes=1)
+    vertices = model.neutral[: EXTENTS["sockets"]].astype(np.float64) + moved
+    vertices += model.neutral[marks].mean(axis=0) - vertices[marks].mean(axis=0)
+
+    def missed(**options: float) -> np.ndarray:
+        follower = follower_of(vertices, faces, **options)
+        places = (
+            vertices[follower.corners.numpy()] * follower.shares.numpy()[..., None].astype(float)
+        ).sum(axis=1)
+        lids = [37, 38, 40, 41, 43, 44, 46, 47]
+        return np.asarray(np.linalg.norm(places[lids] - vertices[marks[lids]], axis=1))
+
+    assert missed(guessed=True).max() < 1.3e-3
+    assert missed(guessed=True).mean() < max(0.6 * missed().mean(), 5e-4)
+
+
+def test_eyes_that_are_closed_skin_keep_their_guess() -> None:
+    face = built_in_face()
+    places = np.asarray(face.neutral, np.float64)[face.landmarks]
+    grid = np.linspace(-0.08, 0.08, 60)
+    x, y = np.meshgrid(grid, grid)
+    vertices = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3)
+    corner = (np.arange(59)[:, None] * 60 + np.arange(59)).ravel()
+    faces = np.concatenate(
+        [
+            np.stack([corner, corner + 1, corner + 60], axis=1),
+            np.stack([corner + 1, corner + 61, corner + 60], axis=1),
+        ]
+    )
+    flat = places * [1, 1, 0]
+    followers = [
+        LandmarkFollower(
+            vertices,
+            faces,
+            landmarks=flat,
+            normals=np.zeros((68, 3)),
+            options=FollowOptions(guessed=guessed),
+        )
+        for guessed in (False, True)
+    ]
+    assert torch.equal(followers[0].weights, followers[1].weights)

@@ -28,6 +28,7 @@ struct FollowOptions {
   double finest = 0.002;    // m: no shorter. 0 for all three keeps the network's detail
   double near = 0.07;       // m: motion is whole nearer to a landmark than this,
   double far = 0.12;        // m: and none beyond this
+  bool guessed = false;     // landmarks are where another face has them: eyes are looked for
   template <class V>
   void fields(V& v) {
     kriging.fields(v);
@@ -37,6 +38,7 @@ struct FollowOptions {
     v("finest", finest);
     v("near", near);
     v("far", far);
+    v("guessed", guessed);
   }
   /// @throws std::invalid_argument naming the option at fault.
   void check() const;

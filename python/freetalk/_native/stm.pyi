@@ -135,6 +135,7 @@ class FollowOptions:
     far: typing.Any
     farthest: typing.Any
     finest: typing.Any
+    guessed: typing.Any
     near: typing.Any
     noise: typing.Any
     range: typing.Any
