@@ -231,7 +231,7 @@ def _add_corpus(commands: Any) -> None:
     parser = _command(
         nested,
         "build",
-        "corpus:build",
+        "data:build",
         "build the open corpus",
         description=(
             "Builds the open corpus in the packed layout that 'freetalk data import' makes of other data: "
@@ -291,7 +291,7 @@ def _add_data(commands: Any) -> None:
     parser = _command(
         nested, "from-video", "data:from_video", "make a dataset of videos of talking faces"
     )
-    from freetalk.cli.video_options import add_video_options
+    from freetalk.cli.corpus_options import add_video_options
 
     add_video_options(parser)
 
@@ -310,7 +310,7 @@ def _add_mesh(commands: Any) -> None:
     parser.add_argument("file", metavar="FILE", help="OBJ, PLY, OFF, STL or glTF")
     _add_pose(parser)
     _add_pretrained(parser)
-    parser = _command(nested, "landmarks", "mesh_landmarks:run", "find the 68 landmarks of a mesh")
+    parser = _command(nested, "landmarks", "mesh:landmarks", "find the 68 landmarks of a mesh")
     add_landmarks(parser)
     _add_pose(parser)
     _add_pretrained(parser)
@@ -338,15 +338,15 @@ def _add_speech(commands: Any) -> None:
     parser.add_argument("--half", action="store_true", help="store float16")
     from freetalk.cli.speech_options import add_align, add_probe
 
-    add_align(_command(nested, "align", "speech_labels:align", "phone timings of recorded English"))
+    add_align(_command(nested, "align", "speech:align", "phone timings of recorded English"))
     probe_help = "how well an encoder tells viseme classes apart"
-    parser = _command(nested, "probe", "speech_labels:probe", probe_help)
+    parser = _command(nested, "probe", "speech:probe", probe_help)
     add_probe(parser)
     _add_pretrained(parser)
 
 
 def _add_pages(commands: Any) -> None:
-    from freetalk.cli.page_options import add_serve, add_view
+    from freetalk.cli.live_options import add_serve, add_view
 
     view_help = "play animations in the browser, or render one to files"
     add_view(_command(commands, "view", "view:run", view_help))

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import json
+import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from freetalk._files import replacing
+from freetalk._files import replacing, write_text
 from freetalk.cli.outputs import check_readable, check_writable
 from freetalk.cli.weights import find_weights
 
@@ -50,3 +53,103 @@ def convert(arguments: argparse.Namespace) -> None:
     megabytes = (out / "model.safetensors").stat().st_size / 1e6
     kind = encoder.options.model_type
     print(f"{out}: {kind}, {count / 1e6:.1f} M parameters, {megabytes:.0f} MB")
+
+
+def align(arguments: argparse.Namespace) -> None:
+    """Writes the phone timings of transcribed recordings."""
+    transcripts = check_readable(arguments.transcripts, "lines RECORDING|TEXT")
+    out = Path(arguments.out)
+    check_writable(out)
+    from tqdm import tqdm
+
+    from freetalk.audio import load_audio
+    from freetalk.corpus.alignment import align_speech, alignment_json, read_transcripts
+
+    folder = transcripts.parent if arguments.audio is None else Path(arguments.audio)
+    texts = {_recording(folder, name): text for name, text in read_transcripts(transcripts).items()}
+    alignments = {}
+    for file, text in tqdm(texts.items(), desc="aligning", delay=2.0, leave=False, disable=None):
+        try:
+            phones = align_speech(np.array(load_audio(file).samples, np.float32), text)
+        except (RuntimeError, ValueError) as error:
+            raise ValueError(f"{file}: {error}") from error
+        alignments[os.path.relpath(file.resolve(), out.resolve().parent)] = phones
+    write_text(out, alignment_json(alignments))
+    seconds = sum(phones[-1].end_s for phones in alignments.values())
+    print(f"{out}: {len(alignments)} recordings, {seconds:.0f} s")
+
+
+def probe(arguments: argparse.Namespace) -> None:
+    """Scores a linear probe of viseme classes on an encoder's features, and draws its confusions."""
+    fit = [check_readable(file, "aligned recordings") for file in arguments.fit]
+    held_out = _named(arguments.held_out)
+    out = Path(arguments.out)
+    check_writable(out / "probe.json")
+    folder = Path(arguments.encoder) if arguments.encoder else None
+    if folder is None:
+        folder = find_weights(arguments.pretrained) / "speech"
+    from freetalk.data import open_dataset
+    from freetalk.evaluate import viseme_probe
+    from freetalk.speech import SpeechEncoder
+
+    encoder = SpeechEncoder.from_pretrained(folder)
+    for layer in arguments.layers:
+        if not -1 <= layer <= encoder.options.num_hidden_layers:
+            last = encoder.options.num_hidden_layers
+            raise ValueError(f"--layers {layer}: the encoder's hidden states are -1 to {last}")
+    corpus = open_dataset(arguments.data)
+    synthetic = viseme_probe.corpus_recordings(corpus, "train", max(0, arguments.sequences))
+    recorded = {
+        f"{file}:{name}": recording
+        for file in fit
+        for name, recording in viseme_probe.aligned_recordings(file).items()
+    }
+    sets = {"synthetic test voices": viseme_probe.corpus_recordings(corpus, "test")}
+    sets |= {name: viseme_probe.aligned_recordings(file) for name, file in held_out.items()}
+    out.mkdir(parents=True, exist_ok=True)
+    results = []
+    for layer in arguments.layers:
+        result = viseme_probe.probe_layer(encoder, layer, synthetic, recorded, sets)
+        results.append(result)
+        suffix = f"_{layer}" if len(arguments.layers) > 1 else ""
+        viseme_probe.draw_confusions(result, out / f"probe{suffix}.png")
+        _print(result)
+    report = {
+        "encoder": str(folder),
+        "classes": {name: list(phones) for name, phones in viseme_probe.VISEMES.items()},
+        "fit": [str(file) for file in fit],
+        "layers": results,
+    }
+    write_text(out / "probe.json", json.dumps(report, indent=1) + "\n")
+
+
+def _print(result: dict[str, Any]) -> None:
+    print(f"layer {result['layer']}")
+    for name, scores in result["sets"].items():
+        print(
+            f"  {name:24s} {100 * scores['accuracy']:5.1f} % of {scores['frames']} frames, "
+            f"{100 * scores['accuracy_speech']:5.1f} % without silence "
+            f"(largest class alone {100 * scores['largest_class']:.1f} %)"
+        )
+
+
+def _recording(folder: Path, name: str) -> Path:
+    """A recording by its name, with ``.wav`` where the transcripts leave it out."""
+    for path in (folder / name, folder / f"{name}.wav", folder / "wavs" / f"{name}.wav"):
+        if path.is_file():
+            return path
+    raise FileNotFoundError(f"there is no recording {folder / name}")
+
+
+def _named(given: list[str]) -> dict[str, Path]:
+    """``NAME=JSON``, or ``JSON``, which is called as its folder."""
+    from freetalk.data import parse_spec
+
+    named: dict[str, Path] = {}
+    for text in given:
+        name, _, file = parse_spec(text)
+        name = name or Path(text).resolve().parent.name
+        if name in named:
+            raise ValueError(f"two sets are called {name}: give them names, NAME=JSON")
+        named[name] = check_readable(file, "aligned recordings")
+    return named

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from freetalk.exports.expression import arkit_curves, find_landmarks
-from freetalk.page.document import render_page, render_studio
 from freetalk.page.motion import PackedMotion, pack_motion, unpack_motion
-from freetalk.page.save import make_page, save_page
+from freetalk.page.save import make_page, render_page, render_studio, save_page
 from freetalk.page.take import pack_rig, pack_take, read_take
 from freetalk.page.viewing import PageServer
 

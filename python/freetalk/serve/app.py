@@ -5,26 +5,90 @@ from __future__ import annotations
 import asyncio
 import hmac
 import json
+import struct
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
 import anyio
 import numpy as np
+import torch
 from anyio.to_thread import run_sync
+from numpy.typing import NDArray
 from starlette.applications import Starlette
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from freetalk.animation import Parts
+from freetalk.corpus.assets import load_face_model
 from freetalk.faces import MARKS
 from freetalk.page import render_studio
+from freetalk.page.take import pack_rig
 from freetalk.page.viewing import PAGE_HEADERS
-from freetalk.serve import live
+from freetalk.rig import FaceRig
 from freetalk.serve.jobs import give_memory_back
 from freetalk.serve.studio import FORMATS, Studio, performance_options
 from freetalk.serve.uploads import MESH_SUFFIXES, Refused
+from freetalk.talker import Face, LiveFrame
+from freetalk.viz.sequence import Sequence
+
+RATE_HZ = 16000
+#: Longest message with samples: one second.
+MOST_BYTES = 2 * RATE_HZ
+
+
+def whole_mesh_targets(face: Face, rig: FaceRig) -> NDArray[np.float32]:
+    """(W, V, 3) metres, canonical frame: the rig's targets with teeth, tongue and eyes that go with the skin."""
+    pose = face.report.alignment.to_canonical
+    model = load_face_model()
+    rest = model.neutral[model.landmarks68].astype(np.float64)
+    parts = Parts(pose.apply(np.asarray(face.mesh.vertices)), face.mesh.faces, rest)
+    # Landmarks of a target: those of the skin's vertices nearest to them.
+    skin = np.asarray(parts.face_vertices)
+    nearest = [int(np.square(skin - mark).sum(axis=1).argmin()) for mark in rest]
+    targets = rig.targets
+    return parts.move(targets, targets[:, nearest].contiguous()).numpy()
+
+
+def rig_take(face: Face, rig: FaceRig, name: str) -> bytes:
+    """The surface of a live stream as the page reads it."""
+    still = Sequence.at_rest(face.mesh, face.report.alignment.to_canonical, located=True)
+    return pack_rig(still, whole_mesh_targets(face, rig), rig.names, name)
+
+
+def samples_of(message: bytes) -> NDArray[np.float32]:
+    """Samples of a message.
+
+    Raises:
+        ValueError: half a sample, or more than a second.
+    """
+    if len(message) % 2 or len(message) > MOST_BYTES:
+        raise ValueError(f"send whole 16-bit samples, at most {RATE_HZ} at a time")
+    return np.frombuffer(message, "<i2").astype(np.float32) / np.float32(32768)
+
+
+def frame_message(frames: list[LiveFrame]) -> bytes:
+    """Frames as the page reads them."""
+    parts = []
+    for frame in frames:
+        weights: torch.Tensor | None = frame.weights
+        assert weights is not None
+        parts.append(struct.pack("<If", frame.index, frame.time_s))
+        parts.append(np.rint(weights.numpy().clip(0, 1) * 65535).astype("<u2").tobytes())
+    return b"".join(parts)
+
+
+def stream_facts(live: Any, rig: FaceRig) -> dict[str, Any]:
+    """What the page needs to know of a stream."""
+    return {
+        "fps": live.fps,
+        "latency_s": live.latency_s,
+        "weights": len(rig.names),
+        "rate_hz": RATE_HZ,
+    }
+
 
 _UPLOAD_S = 120.0
 _JSON_BYTES = 16384
@@ -198,7 +262,7 @@ class _Server:
     # ---- live ----
 
     async def live(self, socket: WebSocket) -> None:
-        """A stream, see :mod:`freetalk.serve.live`."""
+        """A stream, see :mod:`freetalk.serve.app`."""
         if not self._knows(socket.path_params["token"]):
             await _close(socket, 4404, "")
             return
@@ -224,17 +288,17 @@ class _Server:
         face = await run_sync(self._studio.face, mesh.id)
         rig = await run_sync(face.rig)
         stream = face.live(**options)
-        await socket.send_text(json.dumps(live.stream_facts(stream, rig)))
-        await socket.send_bytes(await run_sync(live.rig_take, face, rig, mesh.name))
+        await socket.send_text(json.dumps(stream_facts(stream, rig)))
+        await socket.send_bytes(await run_sync(rig_take, face, rig, mesh.name))
         inbox: asyncio.Queue[Any] = asyncio.Queue(_INBOX)
         listening = asyncio.create_task(_listen(socket, inbox))
         try:
             while (messages := await _arrived(inbox)) is not None:
-                blocks = [live.samples_of(part) for part in messages if isinstance(part, bytes)]
+                blocks = [samples_of(part) for part in messages if isinstance(part, bytes)]
                 if blocks:
                     frames = await run_sync(stream.push, np.concatenate(blocks))
                     if frames:
-                        await socket.send_bytes(live.frame_message(frames))
+                        await socket.send_bytes(frame_message(frames))
                 for text in (part for part in messages if isinstance(part, str)):
                     chosen = performance_options(_object(text.encode()))
                     stream.set_emotion(chosen["emotion"], chosen.get("intensity"))

@@ -21,10 +21,9 @@ from freetalk.mesh import Mesh, load_mesh
 from freetalk.speech.voice_emotion import Keyframe
 from freetalk.talker.face import PERFORMANCE, Face, as_audio
 from freetalk.talker.live import Live, LiveFrame
-from freetalk.talker.placement import Placement
+from freetalk.talker.placement import Landmarks, Placement, find_face, place
 from freetalk.talker.report import Report
 from freetalk.talker.voice import Voice
-from freetalk.talker.where import Landmarks, find_face, place
 
 AnimateOptions = _native.talker.AnimateOptions
 FaceOptions = _native.talker.FaceOptions

@@ -7,21 +7,28 @@ mesh's own unit and axes, fading out with the distance from the landmarks. The r
 from __future__ import annotations
 
 import json
+import os
 import tempfile
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from freetalk.animation import Animation
-from freetalk.geometry import Similarity
+from freetalk.geometry import Alignment, Similarity
 from freetalk.mesh import Mesh
 from freetalk.talker.report import FoundAlignment
 
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
 Points = NDArray[np.float64]
+#: 68 vertices, 68 points (68, 3) in the mesh's own unit and axes, or a file that names them.
+Landmarks: TypeAlias = "ArrayLike | str | os.PathLike[str]"
 
 #: Motion is whole nearer to a landmark than the first (m), and none beyond the second.
 REACH_M = (0.07, 0.12)
@@ -227,3 +234,49 @@ def _zeros(shape: tuple[int, ...], scratch_dir: str | None) -> torch.Tensor:
         return torch.zeros(shape)
     with tempfile.TemporaryFile(dir=scratch_dir) as file:
         return torch.from_numpy(np.memmap(file, dtype=np.float32, mode="w+", shape=shape))
+
+
+def place(mesh: Mesh, landmarks: Landmarks) -> Placement:
+    """Where a face lies that is told by its landmarks.
+
+    Raises:
+        ValueError: other than 68 landmarks, or a vertex that the mesh lacks.
+    """
+    from freetalk.data import read_landmarks
+    from freetalk.faces import home_pose
+
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    if isinstance(landmarks, str | os.PathLike):
+        found = read_landmarks(Path(landmarks), faces, len(vertices))
+        points = np.einsum("kcd,kc->kd", vertices[found.vertices], found.weights.astype(np.float64))
+    else:
+        given = np.asarray(landmarks)
+        if given.shape == (68,) and given.dtype.kind in "iu":
+            if given.min() < 0 or given.max() >= len(vertices):
+                raise ValueError(
+                    f"landmarks name vertices from {given.min()} to {given.max()}, {mesh.name} has "
+                    f"{len(vertices)}"
+                )
+            given = vertices[given]
+        if given.shape != (68, 3) or not np.isfinite(given).all():
+            raise ValueError(
+                f"landmarks must be 68 vertices or points (68, 3), found {given.dtype} {given.shape}"
+            )
+        points = given.astype(np.float64)
+    pose = home_pose(points, np.ones(len(points)))
+    return Placement(mesh, pose, pose.apply(points), "landmarks as given", guessed=False)
+
+
+def find_face(mesh: Mesh, alignment: Alignment) -> Placement:
+    """Where the face of a mesh is whose shape leaves that in doubt.
+
+    Raises:
+        ValueError: nothing on it looks like a face.
+    """
+    from freetalk.faces import find_landmarks, home_pose
+
+    found = find_landmarks(
+        np.asarray(mesh.vertices), np.asarray(mesh.faces), alignment, name=mesh.name
+    )
+    pose = home_pose(found.positions, found.confidence)
+    return Placement(mesh, pose, pose.apply(found.positions), found.summary, guessed=True)

@@ -12,7 +12,6 @@ from torch import Tensor
 from freetalk.ats import Ats, AtsOptions, GenerateOptions, generate
 from freetalk.data import NUM_LANDMARKS, Dataset, MotionSequence
 from freetalk.data.landmarks import UPPER_FACE
-from freetalk.train.ats_windows import AtsWindows
 from freetalk.train.config import TrainingConfig
 from freetalk.train.denoising import (
     VALIDATION_SEED,
@@ -24,6 +23,7 @@ from freetalk.train.denoising import (
 )
 from freetalk.train.losses import MILLIMETRES, landmark_weights, motion_loss
 from freetalk.train.task_options import AtsTaskOptions
+from freetalk.train.windows import AtsWindows
 
 # Frames of a window that goes on from known ones: those to be found, and those known.
 _FEWEST_FRESH, _MOST_FRESH, _MOST_KNOWN = 3, 24, 60

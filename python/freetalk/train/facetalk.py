@@ -22,9 +22,9 @@ from freetalk.train.denoising import (
     opening,
     usual_opening,
 )
-from freetalk.train.facetalk_windows import CodeWindows
 from freetalk.train.losses import motion_loss
 from freetalk.train.task_options import FaceTalkTaskOptions
+from freetalk.train.windows import CodeWindows
 
 #: Takes and frames of each that statistics and the map to the landmarks are computed of.
 _TAKES, _FRAMES = 600, 100

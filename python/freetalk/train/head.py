@@ -17,8 +17,7 @@ from torch import Tensor
 from freetalk.corpus.heads import head_model, held_out_identities
 from freetalk.data import Dataset
 from freetalk.head import HeadOptions, ParametricHead
-from freetalk.train.checkpoint import export_model
-from freetalk.train.checks import NO_VALIDATION
+from freetalk.train.checkpoint import NO_VALIDATION, export_model
 from freetalk.train.config import TrainingConfig
 from freetalk.train.head_options import HeadTaskOptions
 from freetalk.train.head_samples import Expressions, HeadBank, HeadSampler

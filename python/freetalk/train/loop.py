@@ -17,14 +17,18 @@ import torch
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
 
-from freetalk.train.checkpoint import find_checkpoint, git_commit, load_state, save_checkpoint
-from freetalk.train.checks import check_continues
+from freetalk.train.checkpoint import (
+    check_continues,
+    find_checkpoint,
+    git_commit,
+    load_state,
+    save_checkpoint,
+)
 from freetalk.train.config import LoopOptions, TrainingConfig
 from freetalk.train.draws import Draws, step_seed
 from freetalk.train.engine import Engine, StepLoss
-from freetalk.train.interrupts import stop_requests
 from freetalk.train.previews import save_sample
-from freetalk.train.progress import Progress, notice
+from freetalk.train.progress import Progress, notice, stop_requests
 from freetalk.train.task import Batch, Task, TrainingResult
 from freetalk.train.weights import moving_average, parameter_groups
 

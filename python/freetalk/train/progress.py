@@ -1,11 +1,15 @@
-"""What a training shows while it runs: a bar on the terminal, curves and pictures."""
+"""What a training shows while it runs (a bar on the terminal, curves, pictures), and how it is told to stop."""
 
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -108,3 +112,30 @@ class Progress:
 def _clock(seconds: float) -> str:
     minutes = round(seconds) // 60
     return f"{minutes // 60}:{minutes % 60:02d}:{round(seconds) % 60:02d}"
+
+
+@contextmanager
+def stop_requests(request: Callable[[], bool]) -> Iterator[None]:
+    """The first Ctrl-C (or SIGTERM) ends after the step, the second at once.
+
+    `request` asks for the end and says whether it had been asked for before. ``torchrun`` passes on
+    the signal that its processes had already, and ends them after a grace time.
+    """
+    launched = "TORCHELASTIC_RUN_ID" in os.environ
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        repeated = request()
+        if repeated and not launched:
+            raise KeyboardInterrupt
+        if not repeated:
+            notice("stopping after this step; once more to stop at once")
+
+    try:
+        before = {s: signal.signal(s, handle) for s in (signal.SIGINT, signal.SIGTERM)}
+    except ValueError:  # signals belong to the main thread
+        before = {}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

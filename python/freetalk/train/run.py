@@ -13,8 +13,7 @@ import torch
 from freetalk._files import write_json
 from freetalk.data import Dataset, open_datasets
 from freetalk.train.assemble import assemble
-from freetalk.train.checkpoint import git_commit
-from freetalk.train.checks import check_continues
+from freetalk.train.checkpoint import check_continues, git_commit
 from freetalk.train.config import TrainingConfig, load_config
 from freetalk.train.engine import Engine
 from freetalk.train.initial import start_from

@@ -19,8 +19,7 @@ from torch.nn import functional
 from freetalk.data import Dataset, MotionSequence
 from freetalk.speech import SpeechEncoder, SpeechEncoderOptions, normalize_wave
 from freetalk.train.augment import FASTEST_VOICE, augment_wave, change_speed, change_voice
-from freetalk.train.checkpoint import export_model
-from freetalk.train.checks import NO_VALIDATION
+from freetalk.train.checkpoint import NO_VALIDATION, export_model
 from freetalk.train.config import TrainingConfig
 from freetalk.train.progress import notice
 from freetalk.train.sequences import SequenceSampler, present_weights

@@ -4,8 +4,13 @@ from freetalk.video.dataset import TalkerReport, report_of, write_dataset
 from freetalk.video.fit import FittedClip, FittedTalker, fit_talker
 from freetalk.video.picture import save_fit_picture
 from freetalk.video.solve import SolveOptions
-from freetalk.video.sources import tracks_by_talker
-from freetalk.video.tracks import VIDEO_SUFFIXES, FaceTrack, read_tracks, track_videos
+from freetalk.video.tracks import (
+    VIDEO_SUFFIXES,
+    FaceTrack,
+    read_tracks,
+    track_videos,
+    tracks_by_talker,
+)
 
 __all__ = [
     "VIDEO_SUFFIXES",

@@ -6,7 +6,7 @@ import csv
 import hashlib
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,9 @@ from freetalk._files import replacing, write_json, write_text
 from freetalk.audio import load_audio, save_wav
 from freetalk.corpus.assets import load_face_model
 from freetalk.data import import_dataset
-from freetalk.data.factors import write_weights
+from freetalk.data.errors import DatasetError, NotFiniteError
 from freetalk.data.landmarks import lip_opening
+from freetalk.data.pack import FloatArray, Pack
 from freetalk.video.fit import CLOSED_M, FittedClip, FittedTalker
 
 SPLITS = ("auto", "train", "val", "test")
@@ -190,3 +191,41 @@ def _split(asked: str, talker: FittedTalker, clip: FittedClip, talkers: int) -> 
     if place < _SHARES["test"]:
         return "test"
     return "val" if place < _SHARES["test"] + _SHARES["val"] else "train"
+
+
+def write_weights(
+    directory: str | Path, names: Sequence[str], weights: Mapping[str, FloatArray]
+) -> None:
+    """Makes the weights that moved the landmarks a part of a packed folder of landmarks alone.
+
+    Args:
+        directory: the folder.
+        names: of the E expressions.
+        weights: (T, E) of each sequence by its id; frames after its last are left out.
+
+    Raises:
+        DatasetError: the folder has motion already, or a sequence too few weights, or others than E.
+        NotFiniteError: a weight is not finite; names its sequence.
+    """
+    pack = Pack(directory)
+    if pack.motion is not None:
+        raise DatasetError(f"{pack.directory} has motion beside its landmarks already")
+    frames = np.zeros((pack.landmarks.shape[0], len(names)), np.float32)
+    for entry in pack.manifest["sequences"]:
+        first, count = int(entry["start_frame"]), int(entry["num_frames"])
+        own = weights.get(entry["id"], np.zeros((0, len(names)), np.float32))
+        if len(own) < count or own.shape[1] != len(names):
+            raise DatasetError(
+                f"{entry['id']}: expected weights ({count}, {len(names)}), found {own.shape}"
+            )
+        if not np.isfinite(own[:count]).all():
+            raise NotFiniteError(f"{entry['id']}: a weight is not finite")
+        frames[first : first + count] = own[:count]
+    with replacing(pack.directory / "motion.npy") as temporary, temporary.open("wb") as file:
+        np.save(file, frames)
+    pack = Pack(directory)
+    manifest = json.loads(json.dumps(pack.manifest))
+    manifest["expressions"] = list(names)
+    for entry in manifest["sequences"]:
+        entry["sha256"] = pack.digest(entry)
+    write_json(pack.directory / "manifest.json", manifest)
