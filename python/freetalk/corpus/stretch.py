@@ -27,7 +27,8 @@ def stretched(sound: Array, speed: float, rate_hz: int) -> np.ndarray:
     """
     length = round(len(sound) / speed)
     if abs(speed - 1) < _UNNOTICED:
-        return _fitted(sound.astype(np.float64), length)
+        same = sound[:length].astype(np.float64)
+        return np.pad(same, (0, max(0, length - len(sound))))
     step = int(0.5 * _FRAME_S * rate_hz)
     frame, search = 2 * step, int(_SEARCH_S * rate_hz)
     window = 0.5 - 0.5 * np.cos(np.pi * np.arange(frame) / step)
@@ -45,7 +46,3 @@ def stretched(sound: Array, speed: float, rate_hz: int) -> np.ndarray:
             at = first + int(np.argmax(likeness))
         result[number * step : number * step + frame] += window * source[at : at + frame]
     return result[step : step + length]
-
-
-def _fitted(sound: np.ndarray, length: int) -> np.ndarray:
-    return np.pad(sound[:length], (0, max(0, length - len(sound))))

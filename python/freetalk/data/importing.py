@@ -264,9 +264,8 @@ class Source:
             raise VertexCountError(
                 f"it has {values.shape[1] - 3} expressions, the first take {known}"
             )
-        return marks.of(
-            corners.displacements(factors, corners.neutral(_one_hot(identity, self.speakers)))
-        ), factors
+        speaker = np.eye(len(self.speakers), dtype=np.float32)[identity]
+        return marks.of(corners.displacements(factors, corners.neutral(speaker))), factors
 
     def _points(self, take: Take, frames: int) -> Array:
         """Points of a take's scans, (T, P, 3) m, at the result's rate."""
@@ -380,11 +379,6 @@ class Source:
             "decimated": self.step,
             **self.release.notes,
         }
-
-
-def _one_hot(index: int, names: list[str]) -> FloatArray:
-    """(I,) coefficients of one of the speakers."""
-    return np.eye(len(names), dtype=np.float32)[index]
 
 
 def _first(reasons_by_name: dict[str, str]) -> str:

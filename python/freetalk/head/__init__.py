@@ -6,8 +6,16 @@ Meshes, templates and the points of fits are in metres.
 
 from __future__ import annotations
 
-from freetalk.head.codes import Codes, content_hash, load_codes, save_codes
-from freetalk.head.fit import Fit, FitOptions, fit_expressions, fit_identity
+from freetalk.head.codes import (
+    Codes,
+    Fit,
+    FitOptions,
+    content_hash,
+    fit_expressions,
+    fit_identity,
+    load_codes,
+    save_codes,
+)
 from freetalk.head.model import (
     HeadOptions,
     ParametricHead,
@@ -16,11 +24,14 @@ from freetalk.head.model import (
     nphm_small_options,
 )
 from freetalk.head.nphm import load_nphm
-from freetalk.head.surface import Surface, SurfaceExtractor, SurfaceOptions, extract
 from freetalk.head.track import (
     SmoothingOptions,
+    Surface,
+    SurfaceExtractor,
+    SurfaceOptions,
     TrackOptions,
     canonical_template,
+    extract,
     smoothing_weights,
     track,
 )

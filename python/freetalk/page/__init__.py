@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 from freetalk.exports.expression import arkit_curves, find_landmarks
-from freetalk.page.motion import PackedMotion, pack_motion, unpack_motion
 from freetalk.page.save import make_page, render_page, render_studio, save_page
-from freetalk.page.take import pack_rig, pack_take, read_take
+from freetalk.page.take import (
+    PackedMotion,
+    pack_motion,
+    pack_rig,
+    pack_take,
+    read_take,
+    unpack_motion,
+)
 from freetalk.page.viewing import PageServer
 
 __all__ = [

@@ -20,7 +20,7 @@ from freetalk.evaluate.metric_specs import spec_of
 from freetalk.evaluate.motion_files import Origin
 from freetalk.evaluate.pretrained import LandmarksToMesh, SpeechToMotion
 from freetalk.tables.views import faces_of
-from freetalk.train.ats_inputs import named_encoder
+from freetalk.train.initial import named_encoder
 
 FloatArray = npt.NDArray[np.float32]
 Masks = Mapping[str, torch.Tensor]

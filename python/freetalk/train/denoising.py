@@ -18,10 +18,10 @@ from freetalk.data.pack import FloatArray
 from freetalk.diffusion import Schedule, ScheduleOptions
 from freetalk.facetalk import FaceTalk, FaceTalkOptions
 from freetalk.train.assemble import encoder_record
-from freetalk.train.ats_inputs import audible, frame_rate, speech_encoder
 from freetalk.train.checkpoint import NO_VALIDATION, export_model
 from freetalk.train.config import LoopOptions, TrainingConfig
 from freetalk.train.features import FeatureCache
+from freetalk.train.initial import audible, frame_rate, speech_encoder
 from freetalk.train.losses import (
     LEAST_OPENING,
     closure_error,

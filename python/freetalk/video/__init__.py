@@ -1,8 +1,7 @@
 """Training data from videos of faces: tracked points, a fitted face model, a dataset."""
 
-from freetalk.video.dataset import TalkerReport, report_of, write_dataset
+from freetalk.video.dataset import TalkerReport, report_of, save_fit_picture, write_dataset
 from freetalk.video.fit import FittedClip, FittedTalker, fit_talker
-from freetalk.video.picture import save_fit_picture
 from freetalk.video.solve import SolveOptions
 from freetalk.video.tracks import (
     VIDEO_SUFFIXES,

@@ -118,7 +118,8 @@ def fit_talker(tracks: Sequence[FaceTrack], options: SolveOptions | None = None)
     points = torch.from_numpy(np.concatenate([t.points[t.found] for t in tracks]))
     if len(points) < 10:
         raise ValueError(f"{tracks[0].talker}: {len(points)} frames with a face; 10 are needed")
-    unit = _corner_distance(points.numpy()) / _STANDARD_PX
+    corners = (points[:, 36, :2] - points[:, 45, :2]).numpy()
+    unit = float(np.median(np.linalg.norm(corners, axis=-1))) / _STANDARD_PX
     points = points / unit
     mean = torch.from_numpy(model.neutral[model.landmarks68])
     rest = _resting(points)
@@ -160,7 +161,8 @@ def fit_talker(tracks: Sequence[FaceTrack], options: SolveOptions | None = None)
         gap=target,
         width=width.numpy(),
     )
-    result = FittedTalker(tracks[0].talker, _canonical_rest(neutral), identity, closed)
+    centred = (neutral - neutral.mean(0)).numpy().astype(np.float32)
+    result = FittedTalker(tracks[0].talker, centred, identity, closed)
     stops = np.cumsum(lengths)
     for track, start, stop in zip(tracks, stops - lengths, stops, strict=True):
         result.clips.append(_clip(track, fitted.part(start, stop)))
@@ -190,10 +192,6 @@ def _solved(
         torch.cat([c.shift for c in cameras]),
     )
     return torch.cat(weights), joined
-
-
-def _corner_distance(points: FloatArray) -> float:
-    return float(np.median(np.linalg.norm(points[:, 36, :2] - points[:, 45, :2], axis=-1)))
 
 
 def _resting(points: Tensor) -> Tensor:
@@ -236,10 +234,6 @@ def _with_lips(model: FaceModel, weights: FloatArray, target: FloatArray) -> Flo
     """Weights whose lips are as far apart as the tracker's, and closed where the tracker's are."""
     lips = Lips(model)
     return np.clip(lips.without_interpenetration(lips.set_opening(weights, target)), 0, 1)
-
-
-def _canonical_rest(neutral: Tensor) -> FloatArray:
-    return (neutral - neutral.mean(0)).numpy().astype(np.float32)
 
 
 def _place(poses: Poses) -> Tensor:
