@@ -155,11 +155,13 @@ _FREE = (
 )
 
 
-def check_continues(checkpoints: Path, config: TrainingConfig, data: str) -> None:
-    """Whether a training may go on from what its output folder holds.
+def continued_from(
+    checkpoints: Path, config: TrainingConfig, data: str
+) -> tuple[Path, dict[str, Any]] | None:
+    """The newest checkpoint of a training, which may go on from it, and its values; ``None`` without any.
 
     Args:
-        checkpoints: folder of the checkpoints; an empty or absent one allows everything.
+        checkpoints: folder of the checkpoints.
         config: of the training.
         data: fingerprint of its data.
 
@@ -168,7 +170,7 @@ def check_continues(checkpoints: Path, config: TrainingConfig, data: str) -> Non
     """
     found = find_checkpoint(checkpoints)
     if found is None:
-        return
+        return None
     state = load_state(found)
     differences = []
     now = config.to_dict()
@@ -187,3 +189,4 @@ def check_continues(checkpoints: Path, config: TrainingConfig, data: str) -> Non
             f"{found} is of another training ({'; '.join(differences)}); give another --out, or delete "
             f"{checkpoints} to start anew"
         )
+    return found, state

@@ -17,13 +17,7 @@ import torch
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel
 
-from freetalk.train.checkpoint import (
-    check_continues,
-    find_checkpoint,
-    git_commit,
-    load_state,
-    save_checkpoint,
-)
+from freetalk.train.checkpoint import continued_from, git_commit, save_checkpoint
 from freetalk.train.config import LoopOptions, TrainingConfig
 from freetalk.train.draws import Draws, step_seed
 from freetalk.train.engine import Engine, StepLoss
@@ -379,12 +373,11 @@ class Trainer:
 
     def _resume(self) -> bool:
         """Goes to where a checkpoint was; whether that was the end."""
-        check_continues(self.checkpoints, self.config, self.data)
-        found = find_checkpoint(self.checkpoints)
+        found = continued_from(self.checkpoints, self.config, self.data)
         if found is None:
             return False
-        state = load_state(found)
-        self.engine.accelerator.load_state(str(found / "state"))
+        folder, state = found
+        self.engine.accelerator.load_state(str(folder / "state"))
         self.step = int(state["step"])
         self.elapsed_s = float(state["elapsed_s"])
         self.best = math.inf if state["best"] is None else float(state["best"])

@@ -13,7 +13,7 @@ import torch
 from freetalk._files import write_json
 from freetalk.data import Dataset, open_datasets
 from freetalk.train.assemble import assemble
-from freetalk.train.checkpoint import check_continues, git_commit
+from freetalk.train.checkpoint import continued_from, git_commit
 from freetalk.train.config import TrainingConfig, load_config
 from freetalk.train.engine import Engine
 from freetalk.train.initial import start_from
@@ -96,7 +96,7 @@ def train_dataset(
         check_video_support()
     with engine.accelerator.main_process_first():
         corpus = dataset()
-        check_continues(out / "checkpoints" / config.kind, config, corpus.fingerprint)
+        continued_from(out / "checkpoints" / config.kind, config, corpus.fingerprint)
         task = make_task(config, corpus, out, engine.device)
     trainer = Trainer(task, config, out, corpus.fingerprint, command, engine)
     if engine.is_main:
