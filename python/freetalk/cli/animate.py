@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from freetalk._pretrained import find_weights
 from freetalk.cli.app import describe
 from freetalk.cli.mesh_options import preparation
 from freetalk.cli.motion_options import diffusion_options
@@ -24,7 +25,7 @@ from freetalk.cli.outputs import (
     inputs,
     parse_outputs,
 )
-from freetalk.cli.weights import check_emotion, check_intensity, find_weights
+from freetalk.cli.weights import check_emotion, check_intensity
 
 if TYPE_CHECKING:
     import freetalk

@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from freetalk._pretrained import find_weights
 from freetalk.cli.animate import Report, write
 from freetalk.cli.numbers import picture_size, positive
 from freetalk.cli.outputs import check_readable, parse_outputs
-from freetalk.cli.weights import find_weights
 
 
 def add_convert(parser: argparse.ArgumentParser) -> None:

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from freetalk._files import write_json
+from freetalk._pretrained import find_weights
 from freetalk.cli.outputs import check_readable, check_writable
 from freetalk.cli.parser import UsageError
 from freetalk.cli.score_options import AXES
-from freetalk.cli.weights import find_weights
 
 _STAGES = {
     "stm": ("stm",),

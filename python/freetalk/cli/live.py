@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
+from freetalk._pretrained import find_weights
 from freetalk.cli.animate import Report, built_in_face
 from freetalk.cli.live_out import PacedFrames
 from freetalk.cli.mesh_options import preparation
 from freetalk.cli.outputs import check_readable
-from freetalk.cli.weights import check_emotion, check_intensity, find_weights
+from freetalk.cli.weights import check_emotion, check_intensity
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from freetalk import _native
+from freetalk._pretrained import find_weights
 from freetalk.cli.outputs import check_readable, check_writable
-from freetalk.cli.weights import find_weights
 
 
 def check(arguments: argparse.Namespace) -> None:

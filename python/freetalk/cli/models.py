@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from freetalk._pretrained import installed
 from freetalk.cli.outputs import check_writable
-from freetalk.cli.weights import installed, motion_options
+from freetalk.cli.weights import motion_options
 
 
 def list_models(_: argparse.Namespace) -> None:

@@ -9,10 +9,10 @@ import socket
 import webbrowser
 from pathlib import Path
 
+from freetalk._pretrained import find_weights
 from freetalk.cli.animate import built_in_face
 from freetalk.cli.outputs import check_readable
 from freetalk.cli.view import has_display
-from freetalk.cli.weights import find_weights
 
 _LOCAL = ("127.0.0.1", "localhost", "::1")
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from freetalk._files import replacing, write_text
+from freetalk._pretrained import find_weights
 from freetalk.cli.outputs import check_readable, check_writable
-from freetalk.cli.weights import find_weights
 
 
 def encode(arguments: argparse.Namespace) -> None:

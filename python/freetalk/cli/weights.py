@@ -6,16 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from freetalk._pretrained import find_weights, installed
-
-__all__ = [
-    "check_emotion",
-    "check_intensity",
-    "find_weights",
-    "installed",
-    "motion_options",
-    "shipped_emotions",
-]
+from freetalk._pretrained import installed
 
 
 def motion_options(folder: Path) -> dict[str, Any]:

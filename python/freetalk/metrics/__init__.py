@@ -27,12 +27,6 @@ from freetalk.metrics.perceptual import (
     speech_lip_correlation,
     temporal_misalignment,
 )
-from freetalk.metrics.samples import (
-    diversity,
-    diversity_vertex,
-    lve_coverage,
-    lve_mean_estimate,
-)
 from freetalk.metrics.statistics import (
     BootstrapOptions,
     Interval,
@@ -51,6 +45,8 @@ from freetalk.metrics.vertex import (
     delta_m_l2,
     dfd,
     dfd_vertex,
+    diversity,
+    diversity_vertex,
     dtw,
     dtw_sum,
     dtw_vertex,
@@ -59,7 +55,9 @@ from freetalk.metrics.vertex import (
     jerk_energy,
     jitter_ratio,
     lve,
+    lve_coverage,
     lve_l2,
+    lve_mean_estimate,
     metric_info,
     mve_max,
     mve_mean,

@@ -46,6 +46,7 @@ class Size:
     seeds: int = 1
 
 
+_TWO_STEPS = ("loop.max_steps=2", "loop.validate_every=0", "loop.threads=1")
 _TINY_VIEW = ViewOptions(
     fps=10.0,
     clip_frames=20,
@@ -59,9 +60,7 @@ TINY = Size(
     configs={"stm": "stm_smoke", "ats": "ats_smoke", "facetalk": "facetalk_smoke"},
     overrides={
         "stm": (
-            "loop.max_steps=2",
-            "loop.validate_every=0",
-            "loop.threads=1",
+            *_TWO_STEPS,
             "task.num_meshes=2",
             "task.validation_windows=4",
             "task.source_weights={}",
@@ -71,20 +70,12 @@ TINY = Size(
             "model.fusion=gcn_ca_concat",
         ),
         "ats": (
-            "loop.max_steps=2",
-            "loop.validate_every=0",
-            "loop.threads=1",
+            *_TWO_STEPS,
             "task.feature_augmentations=0",
             "task.validation_windows=2",
             "model.band_radius=3",
         ),
-        "facetalk": (
-            "loop.max_steps=2",
-            "loop.validate_every=0",
-            "loop.threads=1",
-            "task.validation_windows=2",
-            "task.validation_samples=1",
-        ),
+        "facetalk": (*_TWO_STEPS, "task.validation_windows=2", "task.validation_samples=1"),
     },
     ablation=_TINY_VIEW,
     stm=_TINY_VIEW,
