@@ -295,7 +295,7 @@ def measure(model: Stm, rig: MuscleRig, true: Points) -> dict[str, dict[str, flo
     found = {"plain": scores(plain.numpy(), true, vertices, rig.landmarks)}
     for name, places, wanted in (
         ("known", rig.marks, FollowOptions()),
-        ("guessed", mean[face.landmarks], FollowOptions(noise=GUESSED_NOISE)),
+        ("guessed", mean[face.landmarks], FollowOptions(noise=GUESSED_NOISE, guessed=True)),
     ):
         follower = LandmarkFollower(
             vertices, rig.faces, landmarks=places, normals=outward, options=wanted

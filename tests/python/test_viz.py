@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import freetalk
 from freetalk import viz
-from freetalk.corpus.assets import load_face_model, mean_face
+from freetalk.corpus.assets import load_face_model, mean_face, speech_clip
 from freetalk.viz.appearance import IVORY, PUPIL, SKIN, NormalField, part_labels, vertex_colors
 from freetalk.viz.cavities import boundary_rims, find_cavities
 
@@ -86,6 +87,26 @@ def test_rims_of_the_face_are_border_eyes_and_mouth() -> None:
     left, right = sorted(found.eyes, key=lambda eye: -eye.center[0])
     np.testing.assert_allclose(left.center * [-1, 1, 1], right.center, atol=1e-3)
     assert 0.009 < left.radius < 0.016  # a human eyeball's radius is about 12 mm
+
+
+def test_closed_lids_hide_the_eyes() -> None:
+    vertices, faces = mean_face("face")
+    clip = freetalk.load_audio(speech_clip())
+    audio = freetalk.Audio(np.array(clip.samples)[: 2 * RATE_HZ], RATE_HZ)
+    face = freetalk.Talker.from_pretrained().prepare(
+        freetalk.Mesh(vertices.astype(float), faces.tolist()), progress=False
+    )
+    spoken = face.animate(audio, progress=False)
+    lids = np.asarray(spoken.landmarks)[:, 37, 1] - np.asarray(spoken.landmarks)[:, 41, 1]
+    shown = [int(lids.argmax()), int(lids.argmin())]
+    assert lids[shown[1]] < -0.006
+    motion = np.asarray(spoken.displacements)[shown].astype(np.float32)
+    sequence = viz.Sequence(vertices, faces.astype(np.int64), motion, 1.0, located=True)
+    open_eyes, closed = (
+        frame[100:220] for frame in viz.render_frames(sequence, (0, 1), (400, 400))
+    )
+    assert (open_eyes.max(axis=-1) < 12).sum() > 20  # pupils
+    assert (closed.max(axis=-1) < 12).sum() == 0
 
 
 def test_mesh_with_its_own_sockets_gets_no_eyes() -> None:

@@ -18,6 +18,8 @@ _MOUTH_BOX = np.array([[-0.02, -0.065, -0.02], [0.02, -0.012, 0.06]])
 _EYE_BOX = np.array([[0.014, 0.0, -0.03], [0.052, 0.06, 0.05]])
 _MOUTH_WIDTH = (0.025, 0.09)
 _EYE_WIDTH = (0.015, 0.05)
+# Metres that an eye lies behind the lids' margins, so that closed lids hide it.
+_BEHIND_LIDS = 6e-4
 
 
 @dataclass
@@ -115,7 +117,7 @@ def boundary_rims(faces: NDArray[np.int64], num_vertices: int) -> list[NDArray[n
 
 
 def _fit_eye(rim: NDArray[np.float64], radius: float) -> Eye:
-    """Ball of given radius whose surface passes through the lid margins, by Gauss-Newton."""
+    """Ball of given radius just behind the lid margins: its surface is led through them by Gauss-Newton."""
     center = rim.mean(0) - np.array([0, 0, 0.8 * radius])
     for _ in range(20):
         offset = rim - center
@@ -123,4 +125,4 @@ def _fit_eye(rim: NDArray[np.float64], radius: float) -> Eye:
         jacobian = -offset / distance[:, None]
         step = np.linalg.lstsq(jacobian, radius - distance, rcond=None)[0]
         center = center + np.clip(step, -0.3 * radius, 0.3 * radius)
-    return Eye(center=center, radius=0.99 * radius)
+    return Eye(center=center - np.array([0, 0, _BEHIND_LIDS]), radius=0.99 * radius)
