@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import soundfile
 import torch
 
 from freetalk.audio import load_audio
@@ -232,3 +233,26 @@ def test_the_command_writes_figures_and_a_picture(
         assert (tmp_path / "out" / f"probe_{layer}.png").read_bytes().startswith(b"\x89PNG")
     assert main(["speech", "probe", *map(str, arguments[:-2]), "7"]) == 2
     assert "--layers 7: the encoder's hidden states are -1 to" in capsys.readouterr().err
+
+
+def test_recordings_that_do_not_fit_are_left_out_of_an_alignment(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = np.array(load_audio(speech_clip()).samples)[: int(7.6 * 16000)]
+    for name in ("said", "other"):
+        soundfile.write(tmp_path / f"{name}.wav", short, 16000)
+    said = "And so my fellow Americans, ask not what your country can do for you"
+    other = (
+        "as no more time is occupied in casting setting or printing beautiful letters than there"
+    )
+    lines = tmp_path / "transcripts.psv"
+    command = ["speech", "align", "--transcripts", str(lines), "--out", str(tmp_path / "out.json")]
+    lines.write_text(f"said.wav|{said}\nother.wav|{other}\n")
+    assert main(command) == 0
+    assert list(read_alignments(tmp_path / "out.json")) == ["said.wav"]
+    told = capsys.readouterr()
+    assert "1 left out" in told.out and "other.wav" in told.err
+    (tmp_path / "out.json").unlink()
+    lines.write_text(f"other.wav|{other}\n")
+    assert main(command) == 2
+    assert not (tmp_path / "out.json").exists()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -68,15 +69,22 @@ def align(arguments: argparse.Namespace) -> None:
     folder = transcripts.parent if arguments.audio is None else Path(arguments.audio)
     texts = {_recording(folder, name): text for name, text in read_transcripts(transcripts).items()}
     alignments = {}
+    left_out = []
     for file, text in tqdm(texts.items(), desc="aligning", delay=2.0, leave=False, disable=None):
         try:
             phones = align_speech(np.array(load_audio(file).samples, np.float32), text)
         except (RuntimeError, ValueError) as error:
-            raise ValueError(f"{file}: {error}") from error
+            left_out.append(f"{file}: {error}")
+            continue
         alignments[os.path.relpath(file.resolve(), out.resolve().parent)] = phones
+    if not alignments:
+        raise ValueError(left_out[0] if left_out else f"{transcripts} names no recording")
     write_text(out, alignment_json(alignments))
+    for reason in left_out:
+        print(f"left out: {reason}", file=sys.stderr)
     seconds = sum(phones[-1].end_s for phones in alignments.values())
-    print(f"{out}: {len(alignments)} recordings, {seconds:.0f} s")
+    more = f", {len(left_out)} left out (above)" if left_out else ""
+    print(f"{out}: {len(alignments)} recordings, {seconds:.0f} s{more}")
 
 
 def probe(arguments: argparse.Namespace) -> None:
