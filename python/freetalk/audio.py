@@ -12,6 +12,8 @@ from freetalk._ffmpeg import find_ffmpeg
 from freetalk._native.audio import Audio
 
 #: What phones and cameras record and libsndfile does not know.
+#: Sound that is read without help.
+AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".mp3")
 _FFMPEG_SUFFIXES = (".m4a", ".aac", ".mp4", ".mov", ".mkv", ".webm", ".wma", ".3gp")
 
 __all__ = ["Audio", "load_audio", "resample", "save_wav"]

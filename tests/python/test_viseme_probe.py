@@ -21,6 +21,7 @@ from freetalk.corpus.alignment import (
     phones_of,
     read_alignments,
     read_transcripts,
+    recognised_words,
     spoken_words,
 )
 from freetalk.corpus.phones import ARPABET, Phone
@@ -252,6 +253,14 @@ def test_recordings_that_do_not_fit_are_left_out_of_an_alignment(
     assert list(read_alignments(tmp_path / "out.json")) == ["said.wav"]
     told = capsys.readouterr()
     assert "1 left out" in told.out and "other.wav" in told.err
+    heard = ["speech", "align", "--audio", str(tmp_path), "--out", str(tmp_path / "heard.json")]
+    assert main(heard) == 0
+    assert sorted(read_alignments(tmp_path / "heard.json")) == ["other.wav", "said.wav"]
+    words, sure = recognised_words(short)
+    assert 0.5 < sure <= 1 and {"fellow", "country", "ask"} <= set(words.split())
+    assert main([*heard, "--least-sure", "1"]) == 2 and "posterior" in capsys.readouterr().err
+    silence = np.zeros(16000, np.float32)
+    assert recognised_words(silence) == ("", 0.0)
     (tmp_path / "out.json").unlink()
     lines.write_text(f"other.wav|{other}\n")
     assert main(command) == 2

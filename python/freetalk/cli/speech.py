@@ -57,28 +57,46 @@ def convert(arguments: argparse.Namespace) -> None:
 
 
 def align(arguments: argparse.Namespace) -> None:
-    """Writes the phone timings of transcribed recordings."""
-    transcripts = check_readable(arguments.transcripts, "lines RECORDING|TEXT")
+    """Writes the phone timings of recordings with transcripts, or of what is recognised in them."""
+    if arguments.transcripts is None and arguments.audio is None:
+        raise ValueError("give --transcripts FILE, or --audio DIR to recognise what is said")
+    source = Path(arguments.transcripts or arguments.audio)
+    if arguments.transcripts is not None:
+        check_readable(arguments.transcripts, "lines RECORDING|TEXT")
     out = Path(arguments.out)
     check_writable(out)
     from tqdm import tqdm
 
-    from freetalk.audio import load_audio
-    from freetalk.corpus.alignment import align_speech, alignment_json, read_transcripts
+    from freetalk.audio import AUDIO_SUFFIXES, load_audio
+    from freetalk.corpus.alignment import (
+        align_speech,
+        alignment_json,
+        read_transcripts,
+        recognised_words,
+    )
 
-    folder = transcripts.parent if arguments.audio is None else Path(arguments.audio)
-    texts = {_recording(folder, name): text for name, text in read_transcripts(transcripts).items()}
+    texts: dict[Path, str | None]
+    if arguments.transcripts is None:
+        found = sorted(path for path in source.rglob("*") if path.suffix.lower() in AUDIO_SUFFIXES)
+        texts = dict.fromkeys(found)
+    else:
+        folder = source.parent if arguments.audio is None else Path(arguments.audio)
+        texts = {_recording(folder, name): text for name, text in read_transcripts(source).items()}
     alignments = {}
     left_out = []
-    for file, text in tqdm(texts.items(), desc="aligning", delay=2.0, leave=False, disable=None):
+    for file, given in tqdm(texts.items(), desc="aligning", delay=2.0, leave=False, disable=None):
         try:
-            phones = align_speech(np.array(load_audio(file).samples, np.float32), text)
+            samples = np.array(load_audio(file).samples, np.float32)
+            text, sure = (given, 1.0) if given is not None else recognised_words(samples)
+            if sure < arguments.least_sure:
+                raise ValueError(f"its words are recognised with a posterior of {sure:.2f} alone")
+            phones = align_speech(samples, text)
         except (RuntimeError, ValueError) as error:
             left_out.append(f"{file}: {error}")
             continue
         alignments[os.path.relpath(file.resolve(), out.resolve().parent)] = phones
     if not alignments:
-        raise ValueError(left_out[0] if left_out else f"{transcripts} names no recording")
+        raise ValueError(left_out[0] if left_out else f"{source} holds no recording")
     write_text(out, alignment_json(alignments))
     for reason in left_out:
         print(f"left out: {reason}", file=sys.stderr)

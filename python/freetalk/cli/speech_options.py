@@ -13,14 +13,21 @@ def add_align(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--transcripts",
-        required=True,
         metavar="FILE",
-        help="lines RECORDING|TEXT, recordings relative to the file; LJ Speech's metadata.csv too",
+        help="lines RECORDING|TEXT, recordings relative to the file; LJ Speech's metadata.csv too. Without it, words "
+        "are recognised in all recordings below --audio",
     )
     parser.add_argument(
         "--audio",
         metavar="DIR",
         help="folder of the recordings, that of the transcripts if left out",
+    )
+    parser.add_argument(
+        "--least-sure",
+        type=float,
+        default=0.55,
+        metavar="P",
+        help="recordings in which words are recognised with a lower mean posterior are left out (default: 0.55)",
     )
     parser.add_argument("--out", required=True, metavar="JSON", help="where to write")
 

@@ -62,7 +62,7 @@ def align_speech(samples: npt.ArrayLike, text: str) -> list[Phone]:
     for word in words:
         if decoder.lookup_word(word) is None:
             decoder.add_word(word, " ".join(dictionary_phones(pronounce(word))), True)
-    sound = (np.clip(np.nan_to_num(wave), -1.0, 1.0) * 32767).astype(np.int16).tobytes()
+    sound = _pcm(wave)
     try:
         decoder.set_align_text(" ".join(words))
         _decode(decoder, sound)
@@ -74,6 +74,28 @@ def align_speech(samples: npt.ArrayLike, text: str) -> list[Phone]:
     if hurried_share(segments) > _MOST_HURRIED:
         raise RuntimeError(f"something else seems to be said in the recording than {text[:60]!r}")
     return phones_of(segments, len(wave) / SAMPLE_RATE_HZ)
+
+
+def recognised_words(samples: npt.ArrayLike) -> tuple[str, float]:
+    """What pocketsphinx hears in a recording of English without a transcript, for :func:`align_speech`.
+
+    Args:
+        samples: (S,) float in [-1, 1] at 16 kHz.
+
+    Returns:
+        The words, and how sure of them it is: their mean posterior by time, in [0, 1]; 0 of none.
+
+    Raises:
+        ModuleNotFoundError: pocketsphinx is not installed.
+    """
+    decoder = _recogniser()
+    _decode(decoder, _pcm(np.asarray(samples, dtype=np.float32).reshape(-1)))
+    heard = [s for s in decoder.seg() if re.fullmatch(r"[a-z'.]+(\(\d\))?", s.word)]
+    if not heard:
+        return "", 0.0
+    frames = [s.end_frame - s.start_frame + 1 for s in heard]
+    sure = np.average([min(float(s.prob), 1.0) for s in heard], weights=frames)
+    return " ".join(s.word.split("(")[0] for s in heard), float(sure)
 
 
 def hurried_share(segments: Iterable[Segment]) -> float:
@@ -198,13 +220,26 @@ def aligned_files(path: Path) -> dict[str, tuple[Path, list[Phone]]]:
 
 @lru_cache(maxsize=1)
 def _decoder() -> Any:
+    return _pocketsphinx(bestpath=False)
+
+
+@lru_cache(maxsize=1)
+def _recogniser() -> Any:
+    return _pocketsphinx(beam=1e-56, wbeam=5e-32, maxhmmpf=6000, maxwpf=12)
+
+
+def _pocketsphinx(**options: Any) -> Any:
     try:
         from pocketsphinx import Decoder
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
             "aligning needs pocketsphinx: pip install 'freetalk[align]'"
         ) from error
-    return Decoder(samprate=SAMPLE_RATE_HZ, bestpath=False, loglevel="FATAL")
+    return Decoder(samprate=SAMPLE_RATE_HZ, loglevel="FATAL", **options)
+
+
+def _pcm(wave: npt.NDArray[np.float32]) -> bytes:
+    return (np.clip(np.nan_to_num(wave), -1.0, 1.0) * 32767).astype(np.int16).tobytes()
 
 
 def _decode(decoder: Any, sound: bytes) -> None:

@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from freetalk.audio import load_audio
+from freetalk.audio import AUDIO_SUFFIXES, load_audio
 from freetalk.data import NUM_LANDMARKS, DatasetError, LayoutError, Mask, open_dataset
 from freetalk.data.templates import read_faces, speaker_of
 from freetalk.evaluate.dataset_truth import DatasetTruth
@@ -27,7 +27,6 @@ from freetalk.evaluate.motion_files import (
     unit_scale,
 )
 
-_AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".mp3")
 _T = TypeVar("_T", bound="float | tuple[float, ...]")
 
 
@@ -162,7 +161,7 @@ class FolderTruth:
         self._phones = _read_json(settings.phones)
         self._emotions = _read_json(settings.emotions)
         found = [] if settings.wav is None else sorted(settings.wav.iterdir())
-        self._sounds = {p.stem: p for p in found if p.suffix.lower() in _AUDIO_SUFFIXES}
+        self._sounds = {p.stem: p for p in found if p.suffix.lower() in AUDIO_SUFFIXES}
 
     @property
     def has_neutral(self) -> bool:
