@@ -257,7 +257,7 @@ def test_recordings_that_do_not_fit_are_left_out_of_an_alignment(
     assert main(heard) == 0
     assert sorted(read_alignments(tmp_path / "heard.json")) == ["other.wav", "said.wav"]
     words, sure = recognised_words(short)
-    assert 0.5 < sure <= 1 and {"fellow", "country", "ask"} <= set(words.split())
+    assert 0.5 < sure <= 1 and {"fellow", "country"} <= set(words.split())
     assert main([*heard, "--least-sure", "1"]) == 2 and "posterior" in capsys.readouterr().err
     silence = np.zeros(16000, np.float32)
     assert recognised_words(silence) == ("", 0.0)
