@@ -24,6 +24,7 @@ from freetalk.corpus.speech import SAMPLE_RATE_HZ, pronounce
 FRAME_S = 0.01
 """Pocketsphinx's frames: phones begin and end at multiples of it."""
 _SHORTEST_S = 0.1
+_SILENT = 1e-3
 _HURRIED = 3  # frames of the shortest phone that the aligner allows
 _MOST_HURRIED = 0.25
 """Share of such phones from which on the text cannot be what is said: texts that were, had 0.02 to 0.16 (41 clips of five
@@ -88,8 +89,11 @@ def recognised_words(samples: npt.ArrayLike) -> tuple[str, float]:
     Raises:
         ModuleNotFoundError: pocketsphinx is not installed.
     """
+    wave = np.asarray(samples, dtype=np.float32).reshape(-1)
+    if np.abs(wave).max(initial=0.0) < _SILENT:
+        return "", 0.0  # where pocketsphinx is sure of an "and"
     decoder = _recogniser()
-    _decode(decoder, _pcm(np.asarray(samples, dtype=np.float32).reshape(-1)))
+    _decode(decoder, _pcm(wave))
     heard = [s for s in decoder.seg() if re.fullmatch(r"[a-z'.]+(\(\d\))?", s.word)]
     if not heard:
         return "", 0.0
