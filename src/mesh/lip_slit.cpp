@@ -28,6 +28,7 @@ constexpr double kBand = 0.0015;    // m around the smoothed path in which edges
 constexpr double kSnap = 0.3;       // of an edge: nearer to the curve, its end serves
 constexpr double kOffCurve = 20.0;  // cost of a path beside the curve
 constexpr size_t kFewest = 5;       // vertices of a slit
+constexpr size_t kMost = 100000;    // vertices that halving edges may add
 
 /// From corner to corner of the inner lips.
 std::vector<om::Vec3d> line_between_lips(const Eigen::MatrixXd& landmarks) {
@@ -37,6 +38,18 @@ std::vector<om::Vec3d> line_between_lips(const Eigen::MatrixXd& landmarks) {
   }
   line.push_back(vec(landmarks.row(64)));
   return line;
+}
+
+/// Distance between the segments a-b and c-d [Ericson, Real-Time Collision Detection, 5.1.9].
+double apart(const om::Vec3d& a, const om::Vec3d& b, const om::Vec3d& c, const om::Vec3d& d) {
+  const om::Vec3d u = b - a, v = d - c, w = a - c;
+  const double uu = std::max(u.sqrnorm(), 1e-18), vv = std::max(v.sqrnorm(), 1e-18), uv = u | v;
+  const double cross = uu * vv - uv * uv;
+  double s = cross > 1e-12 * uu * vv ? ((uv * (v | w)) - vv * (u | w)) / cross : 0;
+  s = std::clamp(s, 0.0, 1.0);
+  const double t = std::clamp((uv * s + (v | w)) / vv, 0.0, 1.0);
+  s = std::clamp((uv * t - (u | w)) / uu, 0.0, 1.0);
+  return (w + u * s - v * t).norm();
 }
 
 /// Polygons, taken whole or not at all, around a place.
@@ -103,15 +116,21 @@ class Surgery : public SurfacePatch {
     const om::HalfedgeHandle half = surface_.halfedge_handle(edge, 0);
     const om::Vec3d a = surface_.point(surface_.from_vertex_handle(half));
     const om::Vec3d b = surface_.point(surface_.to_vertex_handle(half));
-    for (const double share : {0.0, 0.25, 0.5, 0.75, 1.0}) {
-      if (distance(a * (1 - share) + b * share) < options_.corridor) return true;
+    for (size_t i = 0; i + 1 < line_.size(); ++i) {
+      if (apart(a, b, line_[i], line_[i + 1]) < options_.corridor) return true;
     }
     return false;
   }
 
   void refine() {
-    halve_longest([this](om::EdgeHandle edge) {
+    const auto longest = [this](om::EdgeHandle edge) {
       return to_halve(edge) ? surface_.calc_edge_length(edge) : 0.0;
+    };
+    halve_longest(longest, [this](om::EdgeHandle) {
+      FREETALK_RUNTIME_CHECK(added_.size() < kMost, mesh_.name,
+                             ": the edges around the lips cannot be made as short as ",
+                             1000 * options_.edge, " mm, so no slit is cut");
+      return true;
     });
   }
 

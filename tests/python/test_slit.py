@@ -61,6 +61,32 @@ def test_a_slit_from_corner_to_corner_leaves_a_manifold(kind: str) -> None:
     np.testing.assert_allclose(reach, marks[[60, 64], 0], atol=0.002)
 
 
+def sheet(rows: int, edge: float, turn: float) -> tuple[freetalk.Mesh, np.ndarray]:
+    """A flat mesh of long edges (m) around lips, turned by so many radians; landmarks."""
+    vertices, _ = mean_face("face")
+    marks = vertices[load_face_model().landmarks68].astype(np.float64)
+    middle = marks[60:68].mean(axis=0)
+    marks[60:68, 1:] = middle[1:]
+    x, y = np.meshgrid(*2 * [(np.arange(rows) - rows // 2) * edge])
+    turned = np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y
+    points = np.stack([*turned, np.zeros_like(x)], axis=-1).reshape(-1, 3) + middle
+    corner = (rows * np.arange(rows - 1)[:, None] + np.arange(rows - 1)).reshape(-1, 1)
+    triangles = np.concatenate([corner + [0, 1, rows + 1], corner + [0, rows + 1, rows]])
+    return freetalk.Mesh(points, triangles.tolist(), name="sheet"), marks
+
+
+@pytest.mark.parametrize("rows, edge, turn", [(9, 0.015, 0.0), (9, 0.015, 0.3), (7, 0.02, 0.6)])
+def test_edges_much_longer_than_the_lips_are_wide_are_cut_too(
+    rows: int, edge: float, turn: float
+) -> None:
+    mesh, marks = sheet(rows, edge, turn)
+    slit = cut_lips(mesh, marks)
+    assert mesh_report(slit.mesh).nonmanifold_edges == 0
+    assert slit.edges > 40 and len(slit.mesh.vertices) < 10000
+    with pytest.raises(RuntimeError, match="cannot be made as short as 1 mm"):
+        cut_lips(*sheet(5, 0.025, 0.2))
+
+
 def test_lips_that_are_apart_stay_as_they_are() -> None:
     vertices, faces = mean_face("face")
     marks = vertices[load_face_model().landmarks68].astype(np.float64)
