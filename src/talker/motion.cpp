@@ -3,6 +3,7 @@
 #include <ATen/ATen.h>
 
 #include <algorithm>
+#include <utility>
 
 #include "freetalk/animation/resample.h"
 #include "freetalk/core/error.h"
@@ -31,7 +32,7 @@ at::Tensor spoken_codes(const TalkerModels& models, const at::Tensor& samples,
                                               [&](double share) { stages.at(share); });
   stages.begin("motion");
   return facetalk::generate(denoiser, features.to(device),
-                            code_options(options, precision, models.generate),
+                            code_options(options, precision, models.code_motion),
                             {seeds.begin(), seeds.end()}, [&](int64_t done, int64_t total) {
                               stages.at(static_cast<double>(done) / static_cast<double>(total));
                             });
@@ -88,39 +89,38 @@ std::vector<Motion> spoken_motion(const TalkerModels& models, const audio::Audio
   return result;
 }
 
-int64_t usual_steps(const std::string& sampler) {
-  return sampler == "dpmpp" ? kDpmSolverSteps : kOtherSteps;
+/// `own` with the sampler, its steps and its guidance that were chosen, for either motion.
+template <class Sampling>
+Sampling chosen_sampling(const AnimateOptions& options, const std::string& precision,
+                         Sampling own) {
+  if (options.sampler && *options.sampler != own.sampler) {
+    own.sampler = *options.sampler;
+    own.spacing = "auto";
+    own.eta = 0;
+    own.num_steps = own.sampler == "dpmpp" ? kDpmSolverSteps : kOtherSteps;
+  }
+  own.num_steps = options.num_steps.value_or(own.num_steps);
+  own.eta = options.eta.value_or(own.eta);
+  own.audio_guidance = options.audio_guidance.value_or(own.audio_guidance);
+  own.precision = precision;
+  return own;
 }
 
 }  // namespace
 
 facetalk::GenerateOptions code_options(const AnimateOptions& options, const std::string& precision,
-                                       const ats::GenerateOptions& weights) {
-  facetalk::GenerateOptions own;
-  own.sampler = options.sampler.value_or("dpmpp");
-  own.num_steps = options.num_steps.value_or(usual_steps(own.sampler));
-  own.eta = options.eta.value_or(own.eta);
-  own.audio_guidance = options.audio_guidance.value_or(own.audio_guidance);
-  own.temperature = options.mouth_temperature.value_or(weights.mouth_temperature);
-  own.precision = precision;
+                                       facetalk::GenerateOptions own) {
+  own = chosen_sampling(options, precision, std::move(own));
+  own.temperature = options.mouth_temperature.value_or(own.temperature);
   return own;
 }
 
 ats::GenerateOptions sampling_options(const AnimateOptions& options, const std::string& precision,
                                       ats::GenerateOptions own) {
-  if (options.sampler && *options.sampler != own.sampler) {
-    own.sampler = *options.sampler;
-    own.spacing = "auto";
-    own.eta = 0;
-    own.num_steps = usual_steps(own.sampler);
-  }
-  own.num_steps = options.num_steps.value_or(own.num_steps);
-  own.eta = options.eta.value_or(own.eta);
-  own.audio_guidance = options.audio_guidance.value_or(own.audio_guidance);
+  own = chosen_sampling(options, precision, std::move(own));
   own.affect_guidance = options.affect_guidance.value_or(own.affect_guidance);
   own.mouth_temperature = options.mouth_temperature.value_or(own.mouth_temperature);
   own.articulation *= options.articulation;
-  own.precision = precision;
   return own;
 }
 
@@ -152,7 +152,7 @@ void check_performance(const audio::Audio& audio, const std::vector<int64_t>& se
   if (options.motion == "facetalk") {
     FREETALK_CHECK(models.facetalk, "these weights hold no facetalk/: train one with `freetalk ",
                    "train facetalk` into their folder, or leave motion at ats");
-    code_options(options, precision, models.generate).check();
+    code_options(options, precision, models.code_motion).check();
   } else {
     sampling_options(options, precision, models.generate).check();
   }

@@ -8,7 +8,6 @@
 #include <vector>
 
 #include "freetalk/audio/audio.h"
-#include "freetalk/facetalk/generate.h"
 #include "freetalk/talker/models.h"
 #include "freetalk/talker/options.h"
 #include "stages.h"
@@ -19,10 +18,9 @@ namespace freetalk::talker {
 ats::GenerateOptions sampling_options(const AnimateOptions& options, const std::string& precision,
                                       ats::GenerateOptions own);
 
-/// The same for AnimateOptions::motion "facetalk", whose temperature is that of all motion: that of
-/// the weights' mouth, unless chosen.
+/// The same for AnimateOptions::motion "facetalk", whose temperature is that of all motion.
 facetalk::GenerateOptions code_options(const AnimateOptions& options, const std::string& precision,
-                                       const ats::GenerateOptions& weights);
+                                       facetalk::GenerateOptions own);
 
 /// The emotion over time. @throws std::invalid_argument for text that cannot be read, unknown
 /// emotions, intensities that the weights do not have.

@@ -81,6 +81,7 @@ void AnimateOptions::check() const {
 }
 
 void CodeMotionOptions::check() const {
+  facetalk::GenerateOptions::check();
   FREETALK_CHECK(articulation > 0 && articulation <= 3,
                  "articulation must be above 0 and at most 3, found ", articulation);
 }

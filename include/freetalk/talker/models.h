@@ -6,6 +6,7 @@
 #include "freetalk/ats/ats.h"
 #include "freetalk/ats/generate.h"
 #include "freetalk/facetalk/facetalk.h"
+#include "freetalk/facetalk/generate.h"
 #include "freetalk/head/parametric_head.h"
 #include "freetalk/rig/face_rig.h"
 #include "freetalk/speech/encoder.h"
@@ -21,11 +22,16 @@ struct Template {
   Eigen::MatrixXd outward68;    // (68, 3) normals there; zero where unknown
 };
 
-/// How FaceTalk's motion is used.
-struct CodeMotionOptions {
+/// How FaceTalk's motion is sampled and used.
+struct CodeMotionOptions : facetalk::GenerateOptions {
   double articulation = 1.0;  // in (0, 3], gain of the mouth's motion, see ats::articulate()
+  CodeMotionOptions() {
+    sampler = "dpmpp";
+    num_steps = 20;
+  }
   template <class V>
   void fields(V& v) {
+    facetalk::GenerateOptions::fields(v);
     v("articulation", articulation);
   }
   void check() const;

@@ -15,6 +15,9 @@ from freetalk.evaluate.pretrained import FloatArray, at_rate, device_of
 from freetalk.facetalk import FaceTalk, GenerateOptions, generate
 from freetalk.speech import EncodeOptions, SpeechEncoder, encode_speech
 
+#: Of folders that do not say.
+USUAL_SAMPLING: dict[str, object] = {"sampler": "dpmpp", "num_steps": 20}
+
 
 class SpeechToCodes:
     """Speech encoder and FaceTalk on one device.
@@ -54,18 +57,16 @@ class SpeechToCodes:
         """Of a folder with ``speech`` and ``facetalk``, sampled as a talker does.
 
         Args:
-            directory: the folder; its ``talker.json`` says at which temperature and articulation.
+            directory: the folder; its ``talker.json`` says how, and at which articulation.
             sampling: fields of ``facetalk.GenerateOptions`` that win over a talker's.
             device: see :func:`device_of`.
         """
         path = Path(directory)
-        usual: dict[str, object] = {"sampler": "dpmpp", "num_steps": 20}
         about = path / "talker.json"
         own = json.loads(about.read_text()) if about.is_file() else {}
-        if own:
-            usual["temperature"] = own.get("generate", {}).get("mouth_temperature", 1.0)
-        gain = float(own.get("facetalk", {}).get("articulation", 1.0))
-        return cls(path / "speech", path / "facetalk", {**usual, **(sampling or {})}, device, gain)
+        chosen = {**USUAL_SAMPLING, **own.get("facetalk", {}), **(sampling or {})}
+        gain = float(chosen.pop("articulation", 1.0))
+        return cls(path / "speech", path / "facetalk", chosen, device, gain)
 
     def heard(self, dataset: Dataset, clip: MotionSequence) -> torch.Tensor:
         """Speech features or landmarks at the model's frames, (T, C), on the device."""

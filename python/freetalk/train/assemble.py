@@ -32,7 +32,7 @@ def assemble(
     Args:
         out: output folder of trainings.
         num_steps: denoising steps, unless a user gives others.
-        mouth_temperature: of sampling, likewise.
+        mouth_temperature: of sampling, likewise, and FaceTalk's.
         articulation: gain of the mouth's motion at which it goes as far as recorded mouths do.
         code_articulation: the same of FaceTalk's motion.
 
@@ -71,7 +71,10 @@ def assemble(
         },
     }
     if (out / "facetalk" / "config.json").is_file():
-        about["facetalk"] = {"articulation": code_articulation}
+        about["facetalk"] = {
+            "temperature": mouth_temperature,
+            "articulation": code_articulation,
+        }
     write_json(out / "talker.json", about)
     return ""
 

@@ -315,6 +315,15 @@ TEST_F(TalkerTest, FaceTalkSpeaksWhereTheWeightsHoldIt) {
   const auto wider = Talker(models).animate(hum(0.5), mesh, chosen);
   EXPECT_TRUE(torch::allclose(wide.displacements, wider.displacements, 1e-4, 1e-6));
   EXPECT_FALSE(torch::allclose(wide.displacements, found.displacements, 1e-2, 1e-6));
+  // The weights say how it is sampled, unless options do.
+  models.code_motion = {};
+  models.code_motion.num_steps = 1;
+  chosen.num_steps.reset();
+  const auto quick = Talker(models).animate(hum(0.5), mesh, chosen);
+  chosen.num_steps = 1;
+  EXPECT_TRUE(
+      torch::equal(quick.displacements, talker.animate(hum(0.5), mesh, chosen).displacements));
+  EXPECT_FALSE(torch::allclose(quick.displacements, found.displacements, 1e-2, 1e-6));
   small.audio_dim = 12;
   facetalk::FaceTalk deaf(small);
   core::save_model(dir_ / "facetalk", "freetalk-facetalk", core::options_to_json(small), *deaf);
