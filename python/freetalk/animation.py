@@ -275,11 +275,15 @@ class Animation:
             fps: of a ``.pc2`` or a folder (30 unless told), or to sample a glTF at.
 
         Raises:
-            ValueError: another extension, or a ``.pc2`` without its mesh.
+            ValueError: another extension, a ``.pc2`` without its mesh, or `fps` of a file that has its own.
             RuntimeError: the file is missing, truncated or of another content.
         """
         file = Path(path)
         suffix, native = file.suffix.lower(), _native.animation
+        if fps and suffix in (".npz", ".usd", ".usda", ".usdc", ".usdz"):
+            raise ValueError(
+                f"'{path}' has its own frame rate: fps is of a .pc2, a folder or a glTF alone"
+            )
         if suffix == ".npz":
             return cls._wrap(native.load_npz(path))
         if suffix in (".glb", ".gltf"):

@@ -8,13 +8,8 @@ import tempfile
 from pathlib import Path
 
 from freetalk import _native
-from freetalk._ffmpeg import find_ffmpeg
+from freetalk._ffmpeg import SNDFILE_SUFFIXES, find_ffmpeg
 from freetalk._native.audio import Audio
-
-#: What phones and cameras record and libsndfile does not know.
-#: Sound that is read without help.
-AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".mp3")
-_FFMPEG_SUFFIXES = (".m4a", ".aac", ".mp4", ".mov", ".mkv", ".webm", ".wma", ".3gp")
 
 __all__ = ["Audio", "load_audio", "resample", "save_wav"]
 
@@ -22,8 +17,8 @@ __all__ = ["Audio", "load_audio", "resample", "save_wav"]
 def load_audio(path: str | os.PathLike[str], sample_rate_hz: int = 16000) -> Audio:
     """Reads WAV, FLAC, OGG, AIFF, MP3, ... block by block as mono sound.
 
-    M4A, AAC and the sound of videos are read through ffmpeg where it is installed. Channels are averaged; the
-    result has ``round(n * sample_rate_hz / file_rate)`` samples, made by libsamplerate's best sinc converter.
+    What libsndfile does not know (M4A, the sound of videos) is read through ffmpeg where it is installed. Channels are
+    averaged; the result has ``round(n * sample_rate_hz / file_rate)`` samples, made by libsamplerate's best sinc converter.
 
     Args:
         path: the sound file.
@@ -38,22 +33,19 @@ def load_audio(path: str | os.PathLike[str], sample_rate_hz: int = 16000) -> Aud
         return _native.audio.load_audio(os.fspath(path), sample_rate_hz)
     except RuntimeError:
         file, program = Path(path), find_ffmpeg()
-        if program is None or file.suffix.lower() not in _FFMPEG_SUFFIXES or not file.is_file():
+        known = file.suffix.lower() in SNDFILE_SUFFIXES
+        if program is None or known or not file.is_file() or file.stat().st_size == 0:
             raise
         with tempfile.TemporaryDirectory() as folder:
             decoded = Path(folder) / "sound.wav"
             source = ["-i", f"file:{file}", "-vn"]
-            command = [
-                program,
-                "-nostdin",
-                "-v",
-                "error",
-                *source,
-                "-c:a",
-                "pcm_f32le",
-                str(decoded),
-            ]
-            if subprocess.run(command, capture_output=True, check=False).returncode != 0:
+            command = [program, "-nostdin", "-v", "error", *source, "-c:a", "pcm_f32le"]
+            done = subprocess.run(
+                [*command, str(decoded)], capture_output=True, check=False, text=True
+            )
+            if "does not contain any stream" in done.stderr:
+                raise RuntimeError(f"{file}: holds no sound") from None
+            if done.returncode != 0:
                 raise  # libsndfile's sentence names the file and what to do
             return _native.audio.load_audio(str(decoded), sample_rate_hz)
 

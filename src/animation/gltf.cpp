@@ -325,7 +325,7 @@ void add_sound(Json& root, GltfBuffer& buffer, const Animation& animation,
   if (core::lower_extension(path) == "glb") {
     sound["bufferView"] = buffer.add_bytes(wav_bytes(animation.audio));
   } else {
-    sound["uri"] = sound_beside(path).filename().string();
+    sound["uri"] = uri_of(sound_beside(path));
   }
   Json& all = root["extensions"][kAudioExtension];
   const size_t audio = all["audio"].size(), source = all["sources"].size();

@@ -2,6 +2,8 @@
 
 #include <ATen/ATen.h>
 
+#include <cctype>
+#include <cstring>
 #include <utility>
 
 #include "core/file.h"
@@ -114,6 +116,21 @@ void GltfBuffer::write(std::ostream& out) const {
   }
 }
 
+std::string uri_of(const std::filesystem::path& file) {
+  std::string uri;
+  for (const char c : file.filename().string()) {
+    const bool plain = std::isalnum(static_cast<unsigned char>(c)) != 0;
+    if (plain || std::strchr("-._~", c) != nullptr) {
+      uri += c;
+      continue;
+    }
+    constexpr char kDigits[] = "0123456789ABCDEF";
+    const auto byte = static_cast<unsigned char>(c);
+    uri += {'%', kDigits[byte / 16], kDigits[byte % 16]};
+  }
+  return uri;
+}
+
 int write_gltf(const std::filesystem::path& path, Json root, const GltfBuffer& buffer) {
   root["accessors"] = buffer.accessors;
   root["bufferViews"] = buffer.views;
@@ -123,7 +140,7 @@ int write_gltf(const std::filesystem::path& path, Json root, const GltfBuffer& b
     return 1;
   }
   const auto binary = std::filesystem::path(path).replace_extension(".bin");
-  root["buffers"][0]["uri"] = binary.filename().string();
+  root["buffers"][0]["uri"] = uri_of(binary);
   core::write_file_atomic(binary, [&](std::ostream& out) { buffer.write(out); });
   core::write_file_atomic(path, root.dump());
   return 2;

@@ -47,6 +47,9 @@ class GltfBuffer {
   std::vector<at::Tensor> blocks_;
 };
 
+/// The name of a file in the same folder as a URI, percent-encoded.
+std::string uri_of(const std::filesystem::path& file);
+
 /// Writes a .glb, or a .gltf with its .bin beside. @return number of files.
 int write_gltf(const std::filesystem::path& path, Json root, const GltfBuffer& buffer);
 

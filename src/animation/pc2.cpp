@@ -27,6 +27,8 @@ struct Header {
 };
 static_assert(sizeof(Header) == 32);
 
+constexpr double kOtherUnit = 4.0;  // ratio of sizes from which a mesh is not the one that moves
+
 }  // namespace
 
 SaveReport save_pc2(const std::filesystem::path& path, const Animation& animation,
@@ -71,6 +73,13 @@ Animation load_pc2(const std::filesystem::path& path, const mesh::Mesh& mesh, do
   for (int64_t t = 0; t < frames; ++t) {
     const auto frame = animation.displacements[t];
     in.read(static_cast<char*>(frame.data_ptr()), 12 * points);
+    if (t == 0) {
+      const double held = (frame.amax(0) - frame.amin(0)).norm().item<double>();
+      const double own = (still.amax(0) - still.amin(0)).norm().item<double>();
+      FREETALK_RUNTIME_CHECK(held < kOtherUnit * own && own < kOtherUnit * held, path.string(),
+                             " holds a face of size ", held, ", the mesh's is ", own,
+                             ": give the mesh in the cache's own unit");
+    }
     frame.sub_(still);
   }
   animation.check();

@@ -33,7 +33,7 @@ at::Tensor cosine_distance(const at::Tensor& a, const at::Tensor& b) {
   const at::Tensor first = squared_length(a).sqrt(), second = squared_length(b).sqrt();
   const at::Tensor product = (a * b).sum(-1), lengths = first * second;
   const at::Tensor still = (first + second == 0).to(product.scalar_type());
-  return 1 - at::where(lengths > 0, product / lengths, still);
+  return (1 - at::where(lengths > 0, product / lengths, still)).clamp_min(0);  // of rounding
 }
 
 at::Tensor squared_jerk(const at::Tensor& motion) { return squared_length(motion.diff(3, 1)); }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -159,6 +160,13 @@ def test_what_phones_record_is_read_through_ffmpeg(tmp_path: Path) -> None:
     # AAC works in frames of 1,024 samples and pads both ends
     assert abs(len(read.samples) - len(sound.samples)) <= 3 * 1024
     assert abs(np.abs(np.asarray(read.samples)[4000:28000]).max() - 0.5) < 0.02  # lossy
+    for other in ("of-a-phone", "sound.m4v"):
+        shutil.copy(tmp_path / "SOUND.M4A", tmp_path / other)
+        np.testing.assert_array_equal(load_audio(tmp_path / other).samples, read.samples)
+    drawn = ["-f", "lavfi", "-i", "color=size=32x32:duration=1", tmp_path / "silent.avi"]
+    subprocess.run([program, "-v", "error", *drawn], check=True)
+    with pytest.raises(RuntimeError, match=r"silent\.avi: holds no sound"):
+        load_audio(tmp_path / "silent.avi")
 
 
 def test_damaged_recordings_of_phones_are_named(tmp_path: Path) -> None:

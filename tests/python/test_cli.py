@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from freetalk import _native
 from freetalk.cli import main
 from freetalk.cli.app import describe
-from freetalk.cli.outputs import Output, check_writable, parse_output
+from freetalk.cli.outputs import Output, check_kept, check_writable, parse_output
 from freetalk.cli.parser import UNITS, make_parser
 
 PYTHON = Path(__file__).resolve().parents[2] / "python"
@@ -77,6 +77,7 @@ def animate_refused(capsys: pytest.CaptureFixture[str], folder: Path, **changes:
     ("option", "value", "words"),
     [
         ("fps", "0", "above 0"),
+        ("fps", "1000", "at most 240"),
         ("fps", "-25", "above 0"),
         ("fps", "nan", "above 0"),
         ("fps", "fast", "'fast'"),
@@ -287,6 +288,27 @@ def test_same_output_twice_is_refused(capsys: pytest.CaptureFixture[str], folder
     out = str(folder / "out" / "talk.glb")
     message = refused(capsys, folder, "animate", "--audio", "a.wav", "--out", out, "--out", out)
     assert "twice" in message
+
+
+def test_inputs_are_not_written_over(
+    capsys: pytest.CaptureFixture[str], folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("talk.speech.wav", "talk.bin", "talk.mp4", "frames/frame_00000.obj", "hero.glb"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(b"kept")
+    pairs = [
+        ("audio", "talk.speech.wav", "talk.glb"),
+        ("audio", "talk.mp4", "talk.mp4"),
+        ("mesh", "frames/frame_00000.obj", "frames/*.obj"),
+        ("audio", "talk.bin", "talk.gltf"),
+    ]
+    monkeypatch.chdir(folder)
+    for option, given, out in pairs:
+        message = animate_refused(capsys, folder, **{option: folder / given, "out": out})
+        assert "would be written over the input" in message and given in message
+    assert "empty" in animate_refused(capsys, folder, out="")
+    outputs = [Output(folder / "hero.glb", "glb"), Output(folder / "frames", "ply")]
+    check_kept(outputs, [folder / "hero.glb", folder / "frames" / "frame_00000.obj"])
 
 
 def test_axes_of_either_sign_are_understood_with_and_without_an_equals_sign() -> None:

@@ -326,6 +326,8 @@ def test_convert_reads_and_writes_every_kind(
     assert "mesh=" in capsys.readouterr().err
     cached = Animation.load(to[1], mesh=animation.mesh, fps=25)
     assert torch.allclose(cached.displacements, animation.displacements, atol=1e-5)
+    assert main(["convert", str(tmp_path / "a.npz"), str(tmp_path / "d.npz"), "--fps", "60"]) == 2
+    assert "its own frame rate" in capsys.readouterr().err
     frames = Animation.load(tmp_path / "frames", fps=25)
     np.testing.assert_allclose(frames.vertices_at(5), animation.vertices_at(5), atol=1e-5)
 

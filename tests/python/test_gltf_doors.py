@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import trimesh
@@ -53,3 +55,21 @@ def test_an_animation_saved_as_glb_gives_its_mesh_back(tmp_path: Path) -> None:
     assert np.allclose(again.vertices, mesh.vertices, atol=1e-6)  # float32
     assert np.array_equal(again.faces, mesh.faces)
     assert ft.mesh.mesh_report(again).findings() == []
+
+
+def test_names_of_files_beside_a_gltf_are_percent_encoded(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(1)
+    moves = 0.01 * np.random.default_rng(0).normal(size=(3, len(ball.vertices), 3))
+    mesh = ft.Mesh(ball.vertices, ball.faces.tolist())
+    sound = ft.Audio(np.zeros(1600, np.float32), 16000)
+    talk = ft.Animation(mesh, moves, fps=30, audio=sound)
+    for name in ("a%41 #1 ü.gltf", "plain.gltf"):
+        talk.save(tmp_path / name)
+        content = json.loads((tmp_path / name).read_text())
+        (sound_beside,) = content["extensions"]["KHR_audio_emitter"]["audio"]
+        for uri, end in (
+            (content["buffers"][0]["uri"], ".bin"),
+            (sound_beside["uri"], ".speech.wav"),
+        ):
+            assert unquote(uri) == name.removesuffix(".gltf") + end and not set(uri) & set(" #ü")
+        assert len(ft.load_mesh(tmp_path / name).faces) == len(ball.faces)

@@ -11,16 +11,17 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from freetalk._ffmpeg import AUDIO_SUFFIXES, VIDEO_SUFFIXES
 from freetalk._pretrained import find_weights
 from freetalk.cli.app import describe
 from freetalk.cli.mesh_options import preparation
 from freetalk.cli.motion_options import diffusion_options
 from freetalk.cli.outputs import (
-    AUDIO_SUFFIXES,
     MESH_SUFFIXES,
     RIG_FORMATS,
     VIDEO_FORMATS,
     Output,
+    check_kept,
     check_readable,
     inputs,
     parse_outputs,
@@ -101,7 +102,7 @@ def plan(arguments: argparse.Namespace) -> list[Job]:
         OSError: an input is missing, or an output cannot be written.
     """
     parse_outputs([text.replace("{name}", "name") for text in arguments.out])
-    sounds = inputs(arguments.audio, AUDIO_SUFFIXES, "a recording of speech")
+    sounds = inputs(arguments.audio, (*AUDIO_SUFFIXES, *VIDEO_SUFFIXES), "a recording of speech")
     meshes: list[Path | None] = [None]
     if arguments.mesh is not None:
         wanted = "a mesh (OBJ, PLY, OFF, STL or glTF)"
@@ -123,6 +124,7 @@ def plan(arguments: argparse.Namespace) -> list[Job]:
             stems = [sound.stem] * several[0] + ([mesh.stem] if mesh and several[1] else [])
             texts = [text.replace("{name}", "_".join(stems)) for text in arguments.out]
             jobs.append(Job(sound, mesh, parse_outputs(texts)))
+            check_kept(jobs[-1].outputs, [sound] if mesh is None else [sound, mesh])
     paths = [output.path.absolute() for job in jobs for output in job.outputs]
     if len(set(paths)) < len(paths):
         twice = next(path for path in paths if paths.count(path) > 1)
@@ -284,6 +286,8 @@ def write(
             report.line("note", text, timed=False)
     elif output.is_folder:
         animation.save(output.path / f"*.{output.format}")
+        report.line("wrote", f"{output.path}/ ({animation.num_frames} files)")
+        return
     elif output.format in RIG_FORMATS:
         output.path.parent.mkdir(parents=True, exist_ok=True)
         made = animation.save(output.path, rig=rig, compact=arguments.compact)
@@ -294,7 +298,7 @@ def write(
     else:
         output.path.parent.mkdir(parents=True, exist_ok=True)
         animation.save(output.path)
-    report.line("wrote", f"{output.path}{'/' if output.is_folder else ''} {_size(output)}")
+    report.line("wrote", f"{output.path} {_size(output)}")
 
 
 def built_in_face() -> freetalk.Mesh:
@@ -328,6 +332,4 @@ class Report:
 
 
 def _size(output: Output) -> str:
-    if output.is_folder:
-        return f"({sum(1 for _ in output.path.glob(f'*.{output.format}'))} files)"
     return f"({output.path.stat().st_size / 1e6:.1f} MB)"

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
 from freetalk._pretrained import find_weights
 from freetalk.cli.animate import Report, write
 from freetalk.cli.numbers import picture_size, positive
-from freetalk.cli.outputs import check_readable, parse_outputs
+from freetalk.cli.outputs import check_kept, check_readable, parse_outputs
 
 
 def add_convert(parser: argparse.ArgumentParser) -> None:
@@ -46,6 +47,7 @@ def run(arguments: argparse.Namespace) -> None:
         RuntimeError: the animation cannot be read.
     """
     outputs = parse_outputs(arguments.outputs)
+    check_kept(outputs, [Path(arguments.source)])
     import freetalk
 
     given: dict[str, Any] = {"fps": arguments.fps}

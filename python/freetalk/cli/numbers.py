@@ -28,6 +28,9 @@ def _reader(
 
 
 positive = _reader(float, lambda x: 0 < x < math.inf, "is not a number above 0")
+frame_rate = _reader(
+    float, lambda x: 0 < x <= 240, "is no frame rate: give a number above 0, at most 240"
+)
 at_least_one = _reader(
     float, lambda x: 1 <= x < math.inf, "is not a number of at least 1 (slight)"
 )  # how strong an emotion may be is for the weights to say

@@ -15,7 +15,6 @@ VIDEO_FORMATS = ("mp4", "webm")
 #: Morph targets and blend shapes, which --rig and --compact concern.
 RIG_FORMATS = ("glb", "gltf", "usda", "usdc", "usdz", "usd")
 FRAME_SUFFIXES = (".obj", ".ply")
-AUDIO_SUFFIXES = (".wav", ".flac", ".ogg", ".mp3", ".m4a", ".aac", ".mp4", ".mov", ".webm")
 MESH_SUFFIXES = (".obj", ".ply", ".off", ".stl", ".gltf", ".glb")
 
 
@@ -43,6 +42,8 @@ def parse_output(text: str) -> Output:
     Raises:
         ValueError: The name does not say what to write.
     """
+    if not text.strip():
+        raise ValueError("--out is empty: give a file or a folder")
     path = Path(text)
     suffix = path.suffix.lower()
     if path.stem == "*" and suffix in FRAME_SUFFIXES:
@@ -70,6 +71,28 @@ def parse_outputs(texts: list[str]) -> list[Output]:
     if len({output.path.absolute() for output in outputs}) < len(outputs):
         raise ValueError("the same --out is given twice")
     return outputs
+
+
+def check_kept(outputs: list[Output], given: list[Path]) -> None:
+    """Makes sure that no input is written over; a glTF's motion may go into its own file.
+
+    Raises:
+        ValueError: one would be.
+    """
+    for output in outputs:
+        path = output.path
+        beside = [path.parent / f"{path.stem}{end}" for end in (".speech.wav", ".bin")]
+        own = output.format in ("glb", "gltf")
+        for file in given:
+            frame = output.is_folder and file.match(f"frame_*.{output.format}")
+            into = file.parent if frame else file
+            written = [path, *(beside if output.format in RIG_FORMATS else [])]
+            if own and file.suffix.lower() in (".glb", ".gltf"):
+                written = beside[:1]
+            if any(into.resolve() == one.resolve() for one in written):
+                raise ValueError(
+                    f"'{path}' would be written over the input '{file}': choose another --out"
+                )
 
 
 def check_writable(path: Path, is_folder: bool = False) -> None:

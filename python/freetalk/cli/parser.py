@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 from freetalk.cli import head
 from freetalk.cli import motion_options as motion
 from freetalk.cli.corpus_options import add_of_heads
-from freetalk.cli.numbers import at_least_one, positive, seed
+from freetalk.cli.numbers import at_least_one, frame_rate, positive, seed
 from freetalk.cli.score_options import add_evaluate, add_predict
 from freetalk.cli.weights import shipped_emotions
 
@@ -167,7 +167,7 @@ def _add_animate(commands: Any) -> None:
     )
     parser.add_argument("--emotion", default="neutral", help=emotion_help)
     parser.add_argument("--intensity", type=at_least_one, metavar="X", help=_INTENSITY_HELP)
-    parser.add_argument("--fps", type=positive, default=30.0, help="frames per second")
+    parser.add_argument("--fps", type=frame_rate, default=30.0, help="frames per second")
     motion.add_performance(parser)
     motion.add_diffusion(parser)
     motion.add_decoding(parser)

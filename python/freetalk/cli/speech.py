@@ -67,7 +67,8 @@ def align(arguments: argparse.Namespace) -> None:
     check_writable(out)
     from tqdm import tqdm
 
-    from freetalk.audio import AUDIO_SUFFIXES, load_audio
+    from freetalk._ffmpeg import AUDIO_SUFFIXES
+    from freetalk.audio import load_audio
     from freetalk.corpus.alignment import (
         align_speech,
         alignment_json,

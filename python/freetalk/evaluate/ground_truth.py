@@ -9,7 +9,8 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from freetalk.audio import AUDIO_SUFFIXES, load_audio
+from freetalk._ffmpeg import AUDIO_SUFFIXES
+from freetalk.audio import load_audio
 from freetalk.data import NUM_LANDMARKS, DatasetError, LayoutError, Mask, open_dataset
 from freetalk.data.templates import read_faces, speaker_of
 from freetalk.evaluate.dataset_truth import DatasetTruth

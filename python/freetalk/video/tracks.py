@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from freetalk._ffmpeg import VIDEO_SUFFIXES
 from freetalk.video.points import LANDMARK_POINTS, NUM_MESH_POINTS
 
 FloatArray = npt.NDArray[np.float32]
-VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".m4v")
 _SOUNDS = (".flac", ".wav")
 
 

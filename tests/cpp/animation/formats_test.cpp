@@ -253,6 +253,9 @@ TEST(Pc2, HoldsTheVerticesOfEveryFrame) {
   EXPECT_LT((found.displacements - animation.displacements).abs().max().item<float>(), 1e-6);
   core::write_file_atomic(folder / "b.pc2", bytes.substr(0, 100));
   EXPECT_THROW(load_pc2(folder / "b.pc2", animation.mesh), std::runtime_error);
+  mesh::Mesh large = animation.mesh;
+  large.vertices *= 100;  // the same in centimetres
+  EXPECT_THROW(load_pc2(folder / "a.pc2", large), std::runtime_error);
 }
 
 TEST(Sequence, ComesBackFromItsFolder) {

@@ -178,7 +178,9 @@ TEST(Parts, SkinSlidesOverEyeballs) {
     const Eigen::Vector3d now = rest + Eigen::Vector3d(by[0], by[1], by[2]);
     const double beside = (rest - centre).head<2>().norm();
     // The ball's facets are up to 1 mm inside its sphere of 14 mm.
-    if (beside < 0.011) EXPECT_GT((now - centre).norm(), 0.0132) << rest.transpose();
+    if (beside < 0.011) {
+      EXPECT_GT((now - centre).norm(), 0.0132) << rest.transpose();
+    }
     slid += by[2] > -0.0105f;
     if (beside < 0.016) continue;
     ++others;
