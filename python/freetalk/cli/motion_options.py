@@ -41,7 +41,7 @@ def add_diffusion(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--steps", type=natural, default=absent, metavar="N", help=steps_help)
     guidance_help = (
         "how much more than usual the face follows speech and emotion: a weight for both, or "
-        "'audio=1.5,emotion=2'; 1 is off, and faster"
+        "'audio=1.5,emotion=2'; 1 is off, and faster; by default that of the weights"
     )
     parser.add_argument(
         "--guidance", type=guidance, default=absent, metavar="W", help=guidance_help
